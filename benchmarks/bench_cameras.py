@@ -159,9 +159,9 @@ def places_off(scene: SceneReconstruction, places: Array) -> list[Place]:
         error = vehicle.location - places[number]
         off = float(np.linalg.norm(error) / np.linalg.norm(places[number]))
         squared = None
-        if vehicle.pose_covariance is not None:
+        if vehicle.uncertainty.pose_covariance is not None:
             error = vehicle.camera_T_object[:3, :3].T @ error
-            squared = normalised_squared_error(error, vehicle.pose_covariance[3:, 3:])
+            squared = normalised_squared_error(error, vehicle.uncertainty.pose_covariance[3:, 3:])
         found[number] = off, squared is not None and squared <= _SQUARED, vehicle.status.value
     return found
 

@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 from fgrecon.calibration.labelled_boxes import TURNED_ROUND, BoxOutcome, outcome
 from fgrecon.calibration.regions import DIMENSIONS
 from fgrecon.core.geometry import view_azimuth
+from fgrecon.core.half_turn import turned_round
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.reliability import reliability
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import size_prior
-from fgrecon.core.turned import turned_round
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.files import write_text

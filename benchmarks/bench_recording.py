@@ -70,7 +70,7 @@ def cars(folder: Path) -> None:
         )
         walls.append((solving / CARS, writing / CARS))
     off, on, own, threads, least = np.median(rows, axis=0)
-    tell(f"one car, {len(first.history)} steps", off, on, own, threads)
+    tell(f"one car, {len(first.diagnostics.history)} steps", off, on, own, threads)
     print(f"  rerun alone {least:.1f} ms ({least / off:.0%}); the first recording of a process {opening:.0f} ms")
     solving, writing = np.median(walls, axis=0)
     print(f"{CARS} cars, wall time each: solve {solving:.1f} ms, --save {writing:.1f} ms ({writing / solving:.0%})")

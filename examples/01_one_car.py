@@ -35,11 +35,18 @@ def main() -> None:
     print(f"yaw {np.degrees(result.rotation_y):.1f} degrees, true {np.degrees(-2.1):.1f}")
     print(f"position {result.location.round(2)} m, true {true_pose[:3, 3]}")
     print(f"length, width, height {result.box_size.round(2)} m")
-    if result.pose_covariance is not None:
-        sigma = np.sqrt(np.diag(result.pose_covariance))
+    if result.uncertainty.pose_covariance is not None:
+        sigma = np.sqrt(np.diag(result.uncertainty.pose_covariance))
         print(f"1 sigma: rotation {np.degrees(sigma[:3]).round(1)} degrees, position {sigma[3:].round(2)} m")
     print("\nkeypoint            confidence  weight  visible  truly visible")
-    rows = zip(result.keypoint_names, seen.confidence, result.weights, result.visibility, truth.visible, strict=True)
+    rows = zip(
+        result.shape.keypoint_names,
+        seen.confidence,
+        result.diagnostics.weights,
+        result.diagnostics.visibility,
+        truth.visible,
+        strict=True,
+    )
     for name, confidence, weight, visible, truly in rows:
         print(f"{name:20s} {confidence:9.2f} {weight:7.2f} {visible:8.2f}  {'yes' if truly else 'no'}")
 

@@ -37,7 +37,9 @@ def main() -> None:
     print(f"position {result.location.round(2)} m, true {true_pose[:3, 3].round(2)}")
     print(f"length, width, height {result.box_size.round(2)} m")
     print("\nkeypoint            confidence  weight  truly visible")
-    rows = zip(result.keypoint_names, seen.confidence, result.weights, scene.truth.visible, strict=True)
+    rows = zip(
+        result.shape.keypoint_names, seen.confidence, result.diagnostics.weights, scene.truth.visible, strict=True
+    )
     for name, sure, weight, truly in rows:
         print(f"{name:20s} {sure:9.2f} {weight:7.2f}  {'yes' if truly else 'no'}")
 

@@ -119,7 +119,13 @@ def faults(results: Sequence[Reconstruction]) -> list[str]:
     for result in results:
         if not result.status.determined:
             continue
-        numbers = (result.camera_T_object, result.wireframe, result.box_size, result.coefficients, result.weights)
+        numbers = (
+            result.camera_T_object,
+            result.wireframe,
+            result.box_size,
+            result.shape.coefficients,
+            result.diagnostics.weights,
+        )
         if not all(np.isfinite(array).all() for array in numbers):
             found.append("not finite")
         elif not (result.box_size > _SIZES[0]).all() or not (result.box_size < _SIZES[1]).all():

@@ -75,7 +75,7 @@ def solve(index: int, *, history: bool = False) -> Any:
 
 def digest(result: Any) -> str:
     """The bits of pose and shape, in short."""
-    parts = (result.camera_T_object, result.coefficients, result.wireframe)
+    parts = (result.camera_T_object, result.shape.coefficients, result.wireframe)
     return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()[:16]
 
 
@@ -88,9 +88,9 @@ def answer_solve(index: int, *, history: bool = False) -> dict[str, Any]:
     return {
         "cpu": cpu,
         "wall": wall,
-        "stages": dict(result.milliseconds),
+        "stages": dict(result.diagnostics.milliseconds),
         "pose": result.camera_T_object.tolist(),
-        "coefficients": result.coefficients.tolist(),
+        "coefficients": result.shape.coefficients.tolist(),
         "status": str(result.status),
         "digest": digest(result),
     }
@@ -117,7 +117,12 @@ def answer_track(indices: list[int]) -> dict[str, Any]:
             options=options(first),
         )
     )
-    return {"cpu": cpu, "wall": wall, "memory": resident("VmHWM") - before, "stages": dict(result.milliseconds)}
+    return {
+        "cpu": cpu,
+        "wall": wall,
+        "memory": resident("VmHWM") - before,
+        "stages": dict(result.diagnostics.milliseconds),
+    }
 
 
 def answer_bits(indices: list[int]) -> dict[str, list[str]]:

@@ -13,7 +13,7 @@ from fgrecon.batch.rows import id_in_image, reconstruction_of
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.plain import well_formed
+from fgrecon.core.serialise import well_formed
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.export.results import NamedResult, Surfaces, ground_of

@@ -14,7 +14,7 @@ from typing import Any
 
 from fgrecon.batch.inputs import InputFile
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.plain import well_formed
+from fgrecon.core.serialise import well_formed
 from fgrecon.core.text import whole_text
 from fgrecon.io.files import write_text
 from fgrecon.io.integrity import MADE_AGAIN, stored

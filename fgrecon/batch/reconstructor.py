@@ -19,8 +19,8 @@ from fgrecon.batch.schema import EMPTY
 from fgrecon.batch.tasks import nested, record_of
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
-from fgrecon.core.doubts import Doubt, doubt_of, hardly_fits
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.input_warnings import Doubt, doubt_of, hardly_fits
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior, SizesLike
@@ -182,7 +182,7 @@ class Reconstructor:
             )
         except Exception as error:  # noqa: BLE001 - one bad vehicle must not take the others of its row along
             return failed_row(origin, error, vehicle, name) | {"doubt": doubt}
-        if doubt is None and hardly_fits(seen, result.weights):
+        if doubt is None and hardly_fits(seen, result.diagnostics.weights):
             doubt = Doubt.FIT
         return solved_row(origin, vehicle, name, result, camera, instance.box, instance.score) | {"doubt": doubt}
 

@@ -15,8 +15,8 @@ from fgrecon.batch.schema import ERROR, REFUSED, result_schema
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.plain import finite
-from fgrecon.core.reconstruction import Alternative, Reconstruction, Status
+from fgrecon.core.reconstruction import Alternative, Diagnostics, Pose, Reconstruction, Shape, Status, Uncertainty
+from fgrecon.core.serialise import finite
 from fgrecon.core.status import Regions
 
 __all__ = [
@@ -69,10 +69,10 @@ def solved_row(
         **origin,
         "vehicle": vehicle,
         **result.to_row(name, flat=False),
-        "offsets": _flat(result.offsets),
-        "sigmas": _flat(result.sigmas),
-        "pose_covariance": _flat(result.pose_covariance),
-        "coefficients_covariance": _flat(result.coefficients_covariance),
+        "offsets": _flat(result.shape.offsets),
+        "sigmas": _flat(result.diagnostics.sigmas),
+        "pose_covariance": _flat(result.uncertainty.pose_covariance),
+        "coefficients_covariance": _flat(result.uncertainty.coefficients_covariance),
         "alternatives": [
             {
                 "camera_T_object": _flat(a.camera_T_object),
@@ -80,20 +80,20 @@ def solved_row(
                 "excess": a.excess,
                 "probability": finite(a.probability),
             }
-            for a in result.alternatives
+            for a in result.uncertainty.alternatives
         ],
-        "size_covariance": _flat(result.size_covariance),
+        "size_covariance": _flat(result.uncertainty.size_covariance),
         "facing_probability": finite(result.facing_probability),
         "reasons": list(result.reasons),
-        "regions": result.regions.value,
+        "regions": result.uncertainty.regions.value,
         "camera_matrix": _flat(camera.matrix),
         "focal_sigma": camera.focal_sigma,
         "distortion": _flat(camera.distortion),
         "image_size": camera.image_size,
         "box": _flat(box),
         "score": score,
-        "box_excess": finite(result.box_excess),
-        "milliseconds": sum(result.milliseconds.values()),
+        "box_excess": finite(result.diagnostics.box_excess),
+        "milliseconds": sum(result.diagnostics.milliseconds.values()),
     }
 
 
@@ -180,33 +180,38 @@ def reconstruction_of(row: Mapping[str, Any], category: Category) -> Reconstruct
     return Reconstruction(
         status=Status(row["status"]),
         message=row["message"],
-        category=row["category"],
-        prior=row["prior"],
-        keypoint_names=category.keypoints,
-        camera_T_object=vectors("camera_T_object", 4),
-        coefficients=np.array(row["coefficients"], dtype=np.float64),
-        offsets=vectors("offsets", 3),
-        wireframe=vectors("wireframe", 3),
-        wireframe_uv=vectors("wireframe_uv", 2),
-        edges=np.array(category.edges, dtype=np.int64).reshape(-1, 2),
-        box_size=np.array([row["length"], row["width"], row["height"]]),
-        weights=np.array(row["weights"], dtype=np.float64),
-        sigmas=np.array(row["sigmas"], dtype=np.float64),
-        visibility=np.array(row["visibility"], dtype=np.float64),
-        pose_covariance=square("pose_covariance"),
-        coefficients_covariance=square("coefficients_covariance"),
-        keypoint_covariance=None,
-        energies={},
-        alternatives=tuple(map(_alternative, row["alternatives"])),
-        history=(),
-        milliseconds={"total": row["milliseconds"]},
-        faces={face.name: face.keypoints for face in category.faces},
-        symmetric_pairs=np.array(category.symmetric_pairs, dtype=np.int64).reshape(-1, 2),
-        facing_probability=_number(row.get("facing_probability")),
         reasons=tuple(row.get("reasons") or ()),
-        size_covariance=square("size_covariance"),
-        regions=Regions(row.get("regions") or Regions.ASSUMED),
-        box_excess=_number(row.get("box_excess")),
+        pose=Pose(
+            camera_T_object=vectors("camera_T_object", 4),
+            wireframe_uv=vectors("wireframe_uv", 2),
+        ),
+        shape=Shape(
+            category=row["category"],
+            prior=row["prior"],
+            keypoint_names=category.keypoints,
+            coefficients=np.array(row["coefficients"], dtype=np.float64),
+            offsets=vectors("offsets", 3),
+            wireframe=vectors("wireframe", 3),
+            edges=np.array(category.edges, dtype=np.int64).reshape(-1, 2),
+            box_size=np.array([row["length"], row["width"], row["height"]]),
+            faces={face.name: face.keypoints for face in category.faces},
+            symmetric_pairs=np.array(category.symmetric_pairs, dtype=np.int64).reshape(-1, 2),
+        ),
+        uncertainty=Uncertainty(
+            pose_covariance=square("pose_covariance"),
+            coefficients_covariance=square("coefficients_covariance"),
+            alternatives=tuple(map(_alternative, row["alternatives"])),
+            facing_probability=_number(row.get("facing_probability")),
+            size_covariance=square("size_covariance"),
+            regions=Regions(row.get("regions") or Regions.ASSUMED),
+        ),
+        diagnostics=Diagnostics(
+            weights=np.array(row["weights"], dtype=np.float64),
+            sigmas=np.array(row["sigmas"], dtype=np.float64),
+            visibility=np.array(row["visibility"], dtype=np.float64),
+            milliseconds={"total": row["milliseconds"]},
+            box_excess=_number(row.get("box_excess")),
+        ),
     )
 
 

@@ -18,8 +18,8 @@ from fgrecon.batch.pool import work
 from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.batch.rows import lost_rows, single_tasks, storable
 from fgrecon.batch.tasks import Tasks, TaskSolver
-from fgrecon.core.doubts import Doubt, Doubts
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.input_warnings import Doubt, Doubts
 
 __all__ = ["Tally", "run"]
 

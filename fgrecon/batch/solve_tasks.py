@@ -13,8 +13,8 @@ import numpy as np
 from fgrecon.batch.pool import WorkerDiedError, work
 from fgrecon.batch.vehicle_tasks import VehicleTask, Watch
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.doubts import Doubts, hardly_fits
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.input_warnings import Doubts, hardly_fits
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.core.vehicle_mesh import ClosestModel, VehicleMesh, closest_model
@@ -237,7 +237,7 @@ def fit_warnings(outcomes: Iterable[Outcome]) -> list[str]:
     for outcome in outcomes:
         seen = outcome.task.usable_observation
         if outcome.result is not None and seen is not None:
-            doubts.add_fit(outcome.name, hardly=hardly_fits(seen, outcome.result.weights))
+            doubts.add_fit(outcome.name, hardly=hardly_fits(seen, outcome.result.diagnostics.weights))
     return doubts.lines()
 
 

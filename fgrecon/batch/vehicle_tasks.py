@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.choices import BoxModel
-from fgrecon.core.doubts import Doubts, doubt_of
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.input_warnings import Doubts, doubt_of
 from fgrecon.core.observation import Observation
 from fgrecon.io.boxes import NamedBox
 from fgrecon.io.cameras.camera_source import CameraSource

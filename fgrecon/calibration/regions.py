@@ -43,11 +43,11 @@ def claimed(result: Reconstruction, position: Array, yaw: float, size: Array) ->
     """
     errors = {"position": position, "yaw": np.array([yaw]), "size": size}
     regions: dict[str, Array] = {}
-    if result.pose_covariance is not None:
-        regions["position"] = position_covariance(result.camera_T_object, result.pose_covariance)
-        regions["yaw"] = result.pose_covariance[1:2, 1:2]  # about the vehicle's own vertical axis
-    if result.size_covariance is not None:
-        regions["size"] = result.size_covariance
+    if result.uncertainty.pose_covariance is not None:
+        regions["position"] = position_covariance(result.camera_T_object, result.uncertainty.pose_covariance)
+        regions["yaw"] = result.uncertainty.pose_covariance[1:2, 1:2]  # about the vehicle's own vertical axis
+    if result.uncertainty.size_covariance is not None:
+        regions["size"] = result.uncertainty.size_covariance
     squared = {
         name: value
         for name, covariance in regions.items()

@@ -63,7 +63,7 @@ def true_values(scene: DemoScene) -> Truth:
 
 def stages(result: Reconstruction, category: Category, truth: Truth) -> list[Stage]:
     """The stages that ran, in order; the first is the start."""
-    last = {step.stage: step for step in result.history}
+    last = {step.stage: step for step in result.diagnostics.history}
     return [
         Stage(
             title,

@@ -18,10 +18,10 @@ from fgrecon.batch.solve_tasks import Outcome, SolvedImage
 from fgrecon.batch.vehicle_tasks import VehicleTask
 from fgrecon.cli.terminal import Screen, compact_table
 from fgrecon.core.camera import Ground
-from fgrecon.core.digits import shortened
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.geometry import box_around
 from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.core.rounding import rounded
 from fgrecon.core.text import printable
 from fgrecon.io.run_settings import RunSettings, camera_to_dict, settings_to_dict
 from fgrecon.solve.track import TrackReconstruction
@@ -105,9 +105,10 @@ def details(result: Reconstruction | TrackReconstruction | None) -> list[str]:
     """Lines about energies and times of a result."""
     if result is None:
         return []
-    energies = ", ".join(f"{term} {energy:.2f}" for term, energy in result.energies.items())
-    times = ", ".join(f"{stage} {ms:.1f}" for stage, ms in result.milliseconds.items())
-    regions = f"  regions: {result.regions.value}" if isinstance(result, Reconstruction) else ""
+    of = result.diagnostics if isinstance(result, Reconstruction) else result
+    energies = ", ".join(f"{term} {energy:.2f}" for term, energy in of.energies.items())
+    times = ", ".join(f"{stage} {ms:.1f}" for stage, ms in of.milliseconds.items())
+    regions = f"  regions: {result.uncertainty.regions.value}" if isinstance(result, Reconstruction) else ""
     return [line for line in (f"  energies (nats): {energies}", f"  times (ms): {times}", regions) if line]
 
 
@@ -139,7 +140,7 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
         f"{np.degrees(result.rotation_y):.1f}",
         ", ".join(f"{number:.2f}" for number in result.location),
         ", ".join(f"{number:.2f}" for number in result.box_size),
-        f"{np.count_nonzero(result.weights >= _TRUSTED)} of {np.count_nonzero(measured)}",
+        f"{np.count_nonzero(result.diagnostics.weights >= _TRUSTED)} of {np.count_nonzero(measured)}",
         _clause(outcome),
     )
 
@@ -191,9 +192,9 @@ def entry_of(
     if result is not None:
         small = result.to_dict(compact=True, history=history)
         location = [row[3] for row in small["camera_T_object"][:3]]
-        entry |= {"rotation_y": shortened("coefficients", result.rotation_y), "location": location}
+        entry |= {"rotation_y": rounded("coefficients", result.rotation_y), "location": location}
         if offset is not None:
-            entry["location_in_label_frame"] = shortened("camera_T_object", (result.location - offset).tolist())
+            entry["location_in_label_frame"] = rounded("camera_T_object", (result.location - offset).tolist())
         return entry | {"error": None, "result": small}
     refusal = {"type": type(error).__name__, "message": str(error)}
     if isinstance(error, InvalidInputError):

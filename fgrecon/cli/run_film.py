@@ -168,7 +168,7 @@ def _values(estimate: VehicleEstimate) -> dict[str, tuple[float, ...]]:
     result = estimate.reconstruction
     if not result.status.determined:
         return {}
-    pose, sizes = result.pose_covariance, result.size_covariance
+    pose, sizes = result.uncertainty.pose_covariance, result.uncertainty.size_covariance
     spreads = np.full(3, np.nan) if sizes is None else np.sqrt(np.diag(sizes))
     known = {name: (value,) for name, value in motion_of(estimate).items() if value is not None}
     return {

@@ -19,10 +19,10 @@ from fgrecon.batch.vehicle_tasks import VehicleTask, read_tasks
 from fgrecon.cli.reconstruct_report import SCHEMA_VERSION, entry_of
 from fgrecon.cli.reconstruct_report import details as result_details
 from fgrecon.cli.terminal import compact_table
-from fgrecon.core.digits import shortened
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.plain import plain
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.rounding import rounded
+from fgrecon.core.serialise import plain
 from fgrecon.core.text import distinct, whole_text
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.io.cameras.camera_source import CameraSource
@@ -244,10 +244,10 @@ def _entry(track: Solved) -> dict[str, Any]:
         "file": str(track.file),
         "status": result.status.value,
         "message": result.message,
-        "coefficients": shortened("coefficients", result.coefficients.tolist()),
-        "box_size": shortened("box_size", result.box_size.tolist()),
-        "energies": shortened("energies", plain(result.energies)),
-        "milliseconds": shortened("milliseconds", plain(result.milliseconds)),
+        "coefficients": rounded("coefficients", result.coefficients.tolist()),
+        "box_size": rounded("box_size", result.box_size.tolist()),
+        "energies": rounded("energies", plain(result.energies)),
+        "milliseconds": rounded("milliseconds", plain(result.milliseconds)),
         "refused": {track.tasks[index].instance.name: reason for index, reason in result.refused.items()},
     }
 

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_instance, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.motion import MotionModel
+from fgrecon.core.repr import brief_repr
 
 __all__ = ["DIMENSIONS", "Category", "Dimension", "Face"]
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_finite, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation, as_directions
+from fgrecon.core.repr import brief_repr
 
 __all__ = [
     "Detection",

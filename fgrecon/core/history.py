@@ -1,4 +1,4 @@
-"""What led to a result: the steps of the optimisation, and the factors of the graph that it ended in."""
+"""What led to a result: the steps of the optimisation, the factors of the graph that it ended in, and other ends."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.brief import brief_repr
-from fgrecon.core.plain import array, numbers
+from fgrecon.core.repr import brief_repr
+from fgrecon.core.serialise import array, numbers
 
-__all__ = ["GraphFactor", "Iteration", "read_graph_factor", "read_iteration"]
+__all__ = ["Alternative", "GraphFactor", "Iteration", "read_alternative", "read_graph_factor", "read_iteration"]
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,25 @@ class GraphFactor:
     variables: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Alternative:
+    """Another pose that explains the keypoints.
+
+    Attributes:
+        camera_T_object: (4, 4) pose.
+        coefficients: (N,) shape coefficients that go with it.
+        excess: How much more energy it has than the result, nats; NaN where the strategy defines no energy.
+        probability: That it is the vehicle's pose; NaN where `Uncertainty.facing_probability` is.
+    """
+
+    camera_T_object: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
+    excess: float
+    probability: float = float("nan")
+
+    __repr__ = brief_repr
+
+
 def read_iteration(data: Mapping[str, Any]) -> Iteration:
     """A step from plain values."""
     arrays = ("camera_T_object", "coefficients", "keypoints", "projections", "weights")
@@ -70,3 +89,9 @@ def read_iteration(data: Mapping[str, Any]) -> Iteration:
 def read_graph_factor(data: Mapping[str, Any]) -> GraphFactor:
     """A factor from plain values."""
     return GraphFactor(data["term"], data["label"], tuple(data["variables"]))
+
+
+def read_alternative(data: Mapping[str, Any]) -> Alternative:
+    """Another pose from plain values."""
+    excess, probability = float(data["excess"]), float(data.get("probability", "nan"))  # which earlier files have not
+    return Alternative(array(data["camera_T_object"]), array(data["coefficients"]), excess, probability)

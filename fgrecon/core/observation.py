@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_finite, as_shape, own
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.repr import brief_repr
 
 __all__ = ["KeypointsLike", "Observation", "as_directions"]
 

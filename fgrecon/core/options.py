@@ -41,7 +41,7 @@ class KeypointOptions:
             on it: expected calibration error 0.005. `fgrecon calibrate` fits them to other detectors.
         facing_slope: See there.
         fitted: Whether the last three were fitted to the keypoints' detector (`DetectorCalibration.applied` sets it);
-            results say so (`Reconstruction.regions`).
+            results say so (`Reconstruction.uncertainty.regions`).
     """
 
     sigma_relative: float = number(0.035, least=0.0, most=_RELATIVE)

@@ -3,169 +3,68 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_either, as_instance
-from fgrecon.core.digits import shortened
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.history import GraphFactor, Iteration, read_graph_factor, read_iteration
+from fgrecon.core.history import Alternative, GraphFactor, Iteration
 from fgrecon.core.observation import Observation
-from fgrecon.core.plain import array, indices, numbers, pairs, plain, square, well_formed
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
-from fgrecon.core.result_shapes import check_shapes
+from fgrecon.core.repr import brief_repr
+from fgrecon.core.result_fields import FIELDS, read_fields
+from fgrecon.core.rounding import rounded
+from fgrecon.core.serialise import plain
 from fgrecon.core.status import Regions, Status
 from fgrecon.core.table import as_arrow, as_pandas
 
 if TYPE_CHECKING:
-    import gtsam
+    from gtsam import Pose3
 
-__all__ = ["TRUSTED", "Alternative", "GraphFactor", "Iteration", "Reconstruction", "Status", "rotation_y"]
+__all__ = [
+    "TRUSTED",
+    "Alternative",
+    "Diagnostics",
+    "GraphFactor",
+    "Iteration",
+    "Pose",
+    "Reconstruction",
+    "Shape",
+    "Status",
+    "Uncertainty",
+    "rotation_y",
+]
 
 FORMAT = "fgrecon.reconstruction/1"
 COMPACT = "fgrecon.reconstruction/2"
-
-_LARGE: Mapping[str, Any] = {"history": (), "graph": (), "surface_vertices": None, "surface_faces": None}
-"""Fields that the compact form leaves out, and what stands for them."""
-
-_LATER = frozenset(
-    ("graph_iterations", "graph_gain", "facing_probability", "reasons", "size_covariance", "regions", "box_excess")
-)
-"""Fields that earlier files have not."""
-
-_FIX = "Give the result as fgrecon wrote it."
-
-_STEPS = ("history", "graph")
-"""Those of them that it can have."""
-
-_OPTIONAL = frozenset(f"{name}_covariance" for name in ("pose", "coefficients", "keypoint", "size")) | frozenset(
-    ("surface_vertices", "surface_faces")
-)
-"""Fields that may be None."""
 
 TRUSTED = 0.5
 """Keypoints of at least this weight count as trusted where results are told in words."""
 
 
 @dataclass(frozen=True)
-class Alternative:
-    """Another pose that explains the keypoints.
+class Pose:
+    """Where the vehicle is and which way it faces, in the camera's frame and in the image.
 
     Attributes:
-        camera_T_object: (4, 4) pose.
-        coefficients: (N,) shape coefficients that go with it.
-        excess: How much more energy it has than the result, nats; NaN where the strategy defines no energy.
-        probability: That it is the vehicle's pose; NaN where `Reconstruction.facing_probability` is.
-    """
-
-    camera_T_object: NDArray[np.float64]
-    coefficients: NDArray[np.float64]
-    excess: float
-    probability: float = float("nan")
-
-    __repr__ = brief_repr
-
-
-@dataclass(frozen=True)
-class Reconstruction:
-    """Pose and shape of one vehicle.
-
-    K keypoints, N coefficients, V surface vertices. Camera frame: x right, y down, z forward. Object frame: x forward,
-    y down, z left, origin on the ground below the centre. Metres, pixels, radians.
-
-    Attributes:
-        status: How it ended.
-        message: Why, in a sentence.
-        category: Name of the category.
-        prior: Name of the shape prior.
-        keypoint_names: K names.
         camera_T_object: (4, 4) pose, maps object coordinates into the camera frame.
-        coefficients: (N,) shape coefficients lambda.
-        offsets: (K, 3) free offsets, zero where they were not solved for.
-        wireframe: (K, 3) keypoints in the object frame, hidden ones filled in.
-        wireframe_uv: (K, 2) their projections (with lens distortion where the camera has one).
-        edges: (E, 2) pairs of keypoints to draw.
-        box_size: (3,) length, width and height of the vehicle's box.
-        weights: (K,) final weight of each keypoint in [0, 1].
-        sigmas: (K,) final standard deviation of each keypoint's noise model, pixels; infinite at weight zero.
-        visibility: (K,) probability of each keypoint to be visible at the result's pose.
-        pose_covariance: (6, 6) covariance of the pose in GTSAM's order and frame (rotation, translation, in the
-            object's own frame), or None where it is not determined.
-        coefficients_covariance: (N, N), or None.
-        keypoint_covariance: (K, 3, 3) covariance of each 3D keypoint in the object frame, or None.
-        energies: Energy by term at the result.
-        alternatives: Other poses that the search ended in, best first.
-        history: Every step, in order; made when it is first looked at, as is the graph.
-        milliseconds: Wall time by stage.
-        surface_vertices: (V, 3) surface in the object frame, or None.
-        surface_faces: (F, 3) its triangles, or None.
-        faces: The category's planar faces: indices of the keypoints around each, by name.
-        symmetric_pairs: (P, 2) pairs (left, right) of mirrored keypoints.
-        graph: The factors of the graph at the result; empty where no history is kept.
-        graph_iterations: Iterations that the graph's solver took from the proposal that led to the result.
-        graph_gain: Nats that they took off its energy; NaN where the strategy defines none.
-        facing_probability: How probably the vehicle faces where the pose says, within a quarter turn, by the detector's
-            directions, calibrated on real cars; without them by the energies of the poses. NaN where neither tells.
-        reasons: Clauses that say what makes the result weak, or its focal length ambiguous, whatever its status.
-        size_covariance: (3, 3) covariance of `box_size`, or None where it is not determined.
-        regions: What the covariances rest on.
-        box_excess: By how much the 2D box is larger than the vehicle looks, as a fraction, negative where it is
-            smaller; NaN where there is none, or it is not wholly in the image.
+        wireframe_uv: (K, 2) projections of the wireframe, pixels (with lens distortion where the camera has one).
     """
 
-    status: Status
-    message: str
-    category: str
-    prior: str
-    keypoint_names: tuple[str, ...]
     camera_T_object: NDArray[np.float64]
-    coefficients: NDArray[np.float64]
-    offsets: NDArray[np.float64]
-    wireframe: NDArray[np.float64]
     wireframe_uv: NDArray[np.float64]
-    edges: NDArray[np.int64]
-    box_size: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    sigmas: NDArray[np.float64]
-    visibility: NDArray[np.float64]
-    pose_covariance: NDArray[np.float64] | None
-    coefficients_covariance: NDArray[np.float64] | None
-    keypoint_covariance: NDArray[np.float64] | None
-    energies: Mapping[str, float]
-    alternatives: tuple[Alternative, ...]
-    history: Sequence[Iteration]
-    milliseconds: Mapping[str, float]
-    surface_vertices: NDArray[np.float64] | None = None
-    surface_faces: NDArray[np.int64] | None = None
-    faces: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    symmetric_pairs: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
-    graph: Sequence[GraphFactor] = ()
-    graph_iterations: int = 0
-    graph_gain: float = float("nan")
-    facing_probability: float = float("nan")
-    reasons: tuple[str, ...] = ()
-    size_covariance: NDArray[np.float64] | None = None
-    regions: Regions = Regions.ASSUMED
-    box_excess: float = float("nan")
 
     @property
-    def pose(self) -> gtsam.Pose3:
+    def gtsam(self) -> Pose3:
         """`camera_T_object` as a GTSAM pose."""
         import gtsam  # on use: data alone need it not
 
         return gtsam.Pose3(self.camera_T_object)
-
-    @property
-    def pose_probability(self) -> float:
-        """How probable the pose is among `alternatives`, all of which add up to 1; NaN where that is not known."""
-        known = math.isfinite(self.facing_probability)
-        return 1.0 - sum(other.probability for other in self.alternatives) if known else float("nan")
 
     @property
     def rotation_y(self) -> float:
@@ -177,6 +76,167 @@ class Reconstruction:
         """(3,) object origin in the camera frame, metres."""
         return self.camera_T_object[:3, 3]
 
+    __repr__ = brief_repr
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What the vehicle looks like, in its own frame, and the model that this is an instance of.
+
+    Attributes:
+        category: Name of the category.
+        prior: Name of the shape prior.
+        keypoint_names: K names.
+        coefficients: (N,) shape coefficients lambda.
+        offsets: (K, 3) free offsets, metres; zero where they were not solved for.
+        wireframe: (K, 3) keypoints in the object frame, metres, hidden ones filled in.
+        box_size: (3,) length, width and height of the vehicle's box, metres.
+        edges: (E, 2) pairs of keypoints to draw.
+        surface_vertices: (V, 3) surface in the object frame, metres, or None.
+        surface_faces: (F, 3) its triangles, or None.
+        faces: The category's planar faces: indices of the keypoints around each, by name.
+        symmetric_pairs: (P, 2) pairs (left, right) of mirrored keypoints.
+    """
+
+    category: str
+    prior: str
+    keypoint_names: tuple[str, ...]
+    coefficients: NDArray[np.float64]
+    offsets: NDArray[np.float64]
+    wireframe: NDArray[np.float64]
+    box_size: NDArray[np.float64]
+    edges: NDArray[np.int64]
+    surface_vertices: NDArray[np.float64] | None = None
+    surface_faces: NDArray[np.int64] | None = None
+    faces: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    symmetric_pairs: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+
+    __repr__ = brief_repr
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How certain pose and shape are: the spread around them, and the other poses that remain.
+
+    Attributes:
+        pose_covariance: (6, 6) covariance of the pose in GTSAM's order and frame (rotation, translation, in the
+            object's own frame), or None where it is not determined.
+        size_covariance: (3, 3) covariance of the box's length, width and height, or None where it is not determined.
+        coefficients_covariance: (N, N), or None.
+        keypoint_covariance: (K, 3, 3) covariance of each 3D keypoint in the object frame, or None.
+        regions: What the covariances rest on.
+        facing_probability: How probably the vehicle faces where the pose says, within a quarter turn, by the detector's
+            directions, calibrated on real cars; without them by the energies of the poses. NaN where neither is known.
+        alternatives: Other poses that the search ended in, best first.
+    """
+
+    pose_covariance: NDArray[np.float64] | None = None
+    size_covariance: NDArray[np.float64] | None = None
+    coefficients_covariance: NDArray[np.float64] | None = None
+    keypoint_covariance: NDArray[np.float64] | None = None
+    regions: Regions = Regions.ASSUMED
+    facing_probability: float = float("nan")
+    alternatives: tuple[Alternative, ...] = ()
+
+    @property
+    def pose_probability(self) -> float:
+        """How probable the pose is among `alternatives`, all of which add up to 1; NaN where that is not known."""
+        known = math.isfinite(self.facing_probability)
+        return 1.0 - sum(other.probability for other in self.alternatives) if known else float("nan")
+
+    __repr__ = brief_repr
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """How the result came about: what each keypoint counted, the energy, the steps and the time.
+
+    Attributes:
+        weights: (K,) final weight of each keypoint in [0, 1].
+        sigmas: (K,) final standard deviation of each keypoint's noise model, pixels; infinite at weight zero.
+        visibility: (K,) probability of each keypoint to be visible at the result's pose.
+        energies: Energy by term at the result, nats.
+        box_excess: By how much the 2D box is larger than the vehicle looks, as a fraction, negative where it is
+            smaller; NaN where there is none, or it is not wholly in the image.
+        milliseconds: Wall time by stage.
+        history: Every step, in order; made when it is first looked at, as is the graph.
+        graph: The factors of the graph at the result; empty where no history is kept.
+        graph_iterations: Iterations that the graph's solver took from the proposal that led to the result.
+        graph_gain: Nats that they took off its energy; NaN where the strategy defines none.
+    """
+
+    weights: NDArray[np.float64]
+    sigmas: NDArray[np.float64]
+    visibility: NDArray[np.float64]
+    energies: Mapping[str, float] = field(default_factory=dict)
+    box_excess: float = float("nan")
+    milliseconds: Mapping[str, float] = field(default_factory=dict)
+    history: Sequence[Iteration] = ()
+    graph: Sequence[GraphFactor] = ()
+    graph_iterations: int = 0
+    graph_gain: float = float("nan")
+
+    __repr__ = brief_repr
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """Pose and shape of one vehicle.
+
+    K keypoints, N coefficients, V surface vertices. Camera frame: x right, y down, z forward. Object frame: x forward,
+    y down, z left, origin on the ground below the centre. Metres, pixels, radians.
+
+    What most programs read is also here: `camera_T_object`, `rotation_y`, `location`, `box_size`, `wireframe` and
+    `facing_probability`. Files have all fields in one level (`to_dict`), by the same names.
+
+    Attributes:
+        status: How it ended.
+        message: Why, in a sentence.
+        pose: Where the vehicle is and which way it faces.
+        shape: What it looks like.
+        uncertainty: How certain both are, and the other poses that remain.
+        diagnostics: How the result came about.
+        reasons: Clauses that say what makes the result weak, or its focal length ambiguous, whatever its status.
+    """
+
+    status: Status
+    message: str
+    pose: Pose
+    shape: Shape
+    uncertainty: Uncertainty
+    diagnostics: Diagnostics
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def camera_T_object(self) -> NDArray[np.float64]:
+        """(4, 4) pose, maps object coordinates into the camera frame: that of `pose`."""
+        return self.pose.camera_T_object
+
+    @property
+    def rotation_y(self) -> float:
+        """Yaw about the camera's y axis, radians: that of `pose`."""
+        return self.pose.rotation_y
+
+    @property
+    def location(self) -> NDArray[np.float64]:
+        """(3,) object origin in the camera frame, metres: that of `pose`."""
+        return self.pose.location
+
+    @property
+    def box_size(self) -> NDArray[np.float64]:
+        """(3,) length, width and height, metres: that of `shape`."""
+        return self.shape.box_size
+
+    @property
+    def wireframe(self) -> NDArray[np.float64]:
+        """(K, 3) keypoints in the object frame, metres: that of `shape`."""
+        return self.shape.wireframe
+
+    @property
+    def facing_probability(self) -> float:
+        """How probably the vehicle faces where the pose says, within a quarter turn: that of `uncertainty`."""
+        return self.uncertainty.facing_probability
+
     def __repr__(self) -> str:
         """A few lines: how it ended, the pose and size in words, trusted keypoints and time."""
         lines = [f"Reconstruction: {self.status.value}. {self.message}"]
@@ -185,9 +245,10 @@ class Reconstruction:
             turn = np.degrees(self.rotation_y)
             lines.append(f"  rotation_y {turn:.1f} degrees, location ({x:.2f}, {y:.2f}, {z:.2f}) m")
             lines.append(f"  length {length:.2f} m, width {width:.2f} m, height {height:.2f} m")
-        trusted = np.count_nonzero(self.weights >= TRUSTED)
-        time = f", {sum(self.milliseconds.values()):.0f} ms" if self.milliseconds else ""  # of an image it has it
-        lines.append(f"  {trusted} of {len(self.weights)} keypoints trusted, prior {self.prior}{time}")
+        weights, times = self.diagnostics.weights, self.diagnostics.milliseconds
+        time = f", {sum(times.values()):.0f} ms" if times else ""  # that of an image is the image's
+        trusted = np.count_nonzero(weights >= TRUSTED)
+        lines.append(f"  {trusted} of {len(weights)} keypoints trusted, prior {self.shape.prior}{time}")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -249,14 +310,18 @@ class Reconstruction:
 
         Args:
             compact: A few kilobytes, as in results files: without surface, history and graph, and with the digits of
-                `fgrecon.core.digits`. Else everything, and numbers keep every bit.
+                `fgrecon.core.rounding`. Else everything, and numbers keep every bit.
             history: Keep history and graph in the compact form too, with every bit.
         """
+        kept = {name: plain(self._field(name)) for name, f in FIELDS.items() if not (compact and f.large)}
         if not compact:
-            return {"format": FORMAT, **{f.name: plain(getattr(self, f.name)) for f in fields(self)}}
-        kept = [f.name for f in fields(self) if f.name not in _LARGE]
-        small = {name: shortened(name, plain(getattr(self, name))) for name in kept}
-        return {"format": COMPACT, **small, **({n: plain(getattr(self, n)) for n in _STEPS} if history else {})}
+            return {"format": FORMAT, **kept}
+        steps = {name: plain(self._field(name)) for name in ("history", "graph") if history}
+        return {"format": COMPACT, **{name: rounded(name, value) for name, value in kept.items()}, **steps}
+
+    def _field(self, name: str) -> Any:
+        group = FIELDS[name].group
+        return getattr(getattr(self, group) if group else self, name)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Reconstruction:
@@ -268,26 +333,29 @@ class Reconstruction:
         as_instance("reconstruction", data, Mapping)
         if data.get("format") not in (FORMAT, COMPACT):
             raise InvalidInputError("format", data.get("format"), f"Give a result written as {COMPACT} or {FORMAT}.")
-        absent = _LARGE if data["format"] == COMPACT else {}
-        names = [f.name for f in fields(cls) if f.name in data or f.name not in (*_LATER, *absent)]
-        missing = [name for name in names if name not in data]
-        if missing:
-            raise InvalidInputError("reconstruction", f"no field {missing[0]}", "Give a whole result.")
-        values = {**absent, **{name: _read(name, data[name]) for name in names}}
-        check_shapes(values)
-        return cls(**values)
+        values = read_fields(data, compact=data["format"] == COMPACT)
+        parts: dict[str, dict[str, Any]] = {"": {}, "pose": {}, "shape": {}, "uncertainty": {}, "diagnostics": {}}
+        for name, value in values.items():
+            parts[FIELDS[name].group][name] = value
+        return cls(
+            **parts[""],
+            pose=Pose(**parts["pose"]),
+            shape=Shape(**parts["shape"]),
+            uncertainty=Uncertainty(**parts["uncertainty"]),
+            diagnostics=Diagnostics(**parts["diagnostics"]),
+        )
 
     def _scalars(self) -> dict[str, Any]:
         x, y, z = self.location.tolist()
         length, width, height = self.box_size.tolist()
-        covariance = self.pose_covariance
+        covariance = self.uncertainty.pose_covariance
         parts = (None, None) if covariance is None else (covariance[:3, :3], covariance[3:, 3:])
         rotation, translation = (None if p is None else float(np.sqrt(np.linalg.eigvalsh(p).max())) for p in parts)
         return {
             "status": self.status.value,
             "message": self.message,
-            "category": self.category,
-            "prior": self.prior,
+            "category": self.shape.category,
+            "prior": self.shape.prior,
             "rotation_y": self.rotation_y,
             "x": x,
             "y": y,
@@ -302,18 +370,20 @@ class Reconstruction:
     def _lists(self) -> dict[str, Any]:
         return {
             "camera_T_object": self.camera_T_object.ravel().tolist(),
-            "coefficients": self.coefficients.tolist(),
-            "keypoints": list(self.keypoint_names),
+            "coefficients": self.shape.coefficients.tolist(),
+            "keypoints": list(self.shape.keypoint_names),
             "wireframe": self.wireframe.ravel().tolist(),
-            "wireframe_uv": self.wireframe_uv.ravel().tolist(),
-            "weights": self.weights.tolist(),
-            "visibility": self.visibility.tolist(),
+            "wireframe_uv": self.pose.wireframe_uv.ravel().tolist(),
+            "weights": self.diagnostics.weights.tolist(),
+            "visibility": self.diagnostics.visibility.tolist(),
         }
 
     def _flat(self) -> dict[str, Any]:
-        row = {f"lambda_{j + 1}": value for j, value in enumerate(self.coefficients.tolist())}
-        columns = np.column_stack([self.wireframe, self.wireframe_uv, self.weights, self.visibility])
-        for name, values in zip(self.keypoint_names, columns.tolist(), strict=True):
+        row = {f"lambda_{j + 1}": value for j, value in enumerate(self.shape.coefficients.tolist())}
+        columns = np.column_stack(
+            [self.wireframe, self.pose.wireframe_uv, self.diagnostics.weights, self.diagnostics.visibility]
+        )
+        for name, values in zip(self.shape.keypoint_names, columns.tolist(), strict=True):
             suffixes = ("x", "y", "z", "u", "v", "weight", "visibility")
             row |= {f"{name}_{suffix}": number for suffix, number in zip(suffixes, values, strict=True)}
         return row
@@ -328,44 +398,3 @@ def rotation_y(camera_T_object: ArrayLike) -> float:
     fix = "Give a pose (4, 4) or a rotation (3, 3)."
     forward = as_either("camera_T_object", camera_T_object, ((4, 4), (3, 3)), fix)[:3, 0]
     return float(np.arctan2(-forward[2], forward[0]))
-
-
-def _read(name: str, value: Any) -> Any:
-    """A field of a reconstruction from plain values; what is not listed is an array of numbers."""
-    reader: Callable[[Any], Any] = _READERS.get(name, array)
-    if value is None and name in _OPTIONAL:
-        return None
-    with well_formed(name, _FIX):
-        if value is None:
-            raise TypeError("null")
-        return reader(value)
-
-
-def _alternative(data: Mapping[str, Any]) -> Alternative:
-    excess, probability = float(data["excess"]), float(data.get("probability", "nan"))  # which earlier files have not
-    return Alternative(array(data["camera_T_object"]), array(data["coefficients"]), excess, probability)
-
-
-_READERS: Mapping[str, Callable[[Any], Any]] = {
-    "status": Status,
-    "graph_iterations": int,
-    "graph_gain": float,
-    "facing_probability": float,
-    "reasons": tuple,
-    "regions": Regions,
-    "box_excess": float,
-    "message": str,
-    "category": str,
-    "prior": str,
-    "keypoint_names": tuple,
-    "edges": pairs,
-    "symmetric_pairs": pairs,
-    "surface_faces": indices,
-    "coefficients_covariance": square,
-    "energies": numbers,
-    "milliseconds": numbers,
-    "alternatives": lambda items: tuple(map(_alternative, items)),
-    "history": lambda items: tuple(map(read_iteration, items)),
-    "graph": lambda items: tuple(map(read_graph_factor, items)),
-    "faces": lambda faces: {name: tuple(keypoints) for name, keypoints in faces.items()},
-}

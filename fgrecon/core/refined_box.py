@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.box3d import Box3D
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.repr import brief_repr
 
 __all__ = ["RefinedBox"]
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_instance, as_shape, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import MIRROR
+from fgrecon.core.repr import brief_repr
 from fgrecon.core.size_prior import LONGEST, SHORTEST, SIZES, SizePrior
 
 __all__ = ["ShapePrior", "Surface"]

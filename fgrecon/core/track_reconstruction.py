@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
 from fgrecon.core.reconstruction import GraphFactor, Reconstruction, Status
+from fgrecon.core.repr import brief_repr
 from fgrecon.core.table import as_arrow, as_pandas
 from fgrecon.core.text import counted
 
@@ -71,7 +71,7 @@ class TrackReconstruction:
     @property
     def coefficients(self) -> NDArray[np.float64]:
         """(N,) shape coefficients lambda."""
-        return self.frames[0].coefficients
+        return self.frames[0].shape.coefficients
 
     @property
     def box_size(self) -> NDArray[np.float64]:

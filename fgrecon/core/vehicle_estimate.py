@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.repr import brief_repr
 
 __all__ = ["VehicleEstimate"]
 

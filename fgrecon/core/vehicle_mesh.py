@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import hausdorff_distance
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.repr import brief_repr
 
 __all__ = ["ClosestModel", "ModelDistances", "VehicleMesh", "closest_model", "model_distances"]
 
@@ -149,9 +149,9 @@ def closest_model(result: Reconstruction, models: Sequence[VehicleMesh]) -> Clos
         InvalidInputError: There is no model, or neither keypoints nor surfaces can be compared.
     """
     surface = None
-    if result.surface_vertices is not None and result.surface_faces is not None:
-        surface = _points_on(result.surface_vertices, result.surface_faces)
-    found = model_distances(result.keypoint_names, result.wireframe, surface, models)
+    if result.shape.surface_vertices is not None and result.shape.surface_faces is not None:
+        surface = _points_on(result.shape.surface_vertices, result.shape.surface_faces)
+    found = model_distances(result.shape.keypoint_names, result.wireframe, surface, models)
     order = np.argsort(found.hausdorff, kind="stable")
     first, second = int(order[0]), int(order[1]) if len(order) > 1 else None
     return ClosestModel(

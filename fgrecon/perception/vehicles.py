@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_finite, one_word, own
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.repr import brief_repr
 from fgrecon.io.integrity import check_hash, listed
 from fgrecon.io.isolated import Isolated
 from fgrecon.perception.keypoints.decode import sigmoid

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
+from fgrecon.core.repr import brief_repr
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
 from fgrecon.simulation.render import Body, Picture, render

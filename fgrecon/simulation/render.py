@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
+from fgrecon.core.repr import brief_repr
 
 __all__ = ["Body", "Fragments", "Paint", "Picture", "pixel_rays", "rasterise", "render", "sky", "to_rgb"]
 

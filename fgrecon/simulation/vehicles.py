@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around
 from fgrecon.core.observation import Observation
+from fgrecon.core.repr import brief_repr
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.keypoint_noise import HOURGLASS, OUTLIER, NoiseModel, Twins
 from fgrecon.solve.vehicle.visibility import TOLERANCE, clearance

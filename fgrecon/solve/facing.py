@@ -23,13 +23,13 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.detection import half_around, pose_facing_probability
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
+from fgrecon.core.half_turn import half_a_turn, turned_round
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.rows import leanings, ties
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.traffic import traffic_directions
-from fgrecon.core.turned import half_a_turn, turned_round
 from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
+from fgrecon.core.half_turn import turned_alternative
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.reconstruction import Alternative, rotation_y
-from fgrecon.core.turned import turned_alternative
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.facing import couple_facings, estimate_pose
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State

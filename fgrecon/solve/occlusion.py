@@ -30,10 +30,10 @@ def with_occlusion(results: Sequence[Reconstruction]) -> tuple[Reconstruction, .
         return tuple(results)
     points = [transform(one.camera_T_object, one.wireframe) for one in results]
     pixels = [_projected(one) for one in points]
-    seen = [one.visibility for one in results]
+    seen = [one.diagnostics.visibility for one in results]
     for there, other in enumerate(results):
         front = _placed(other)
-        if front is None or other.surface_faces is None:
+        if front is None or other.shape.surface_faces is None:
             continue
         vertices, (low, high) = front
         covered: dict[int, NDArray[np.intp]] = {}  # keypoints of further vehicles inside the rectangle around it
@@ -45,13 +45,14 @@ def with_occlusion(results: Sequence[Reconstruction]) -> tuple[Reconstruction, .
         if not covered:
             continue
         rays = np.concatenate([points[here][inside] for here, inside in covered.items()])
-        left = probability(clearance(vertices, other.surface_faces, rays, np.zeros(3))) / _UNHIDDEN
+        left = probability(clearance(vertices, other.shape.surface_faces, rays, np.zeros(3))) / _UNHIDDEN
         ends = np.cumsum([len(inside) for inside in covered.values()])[:-1]
         for (here, inside), share in zip(covered.items(), np.split(left, ends), strict=True):
             seen[here] = seen[here].copy()
             seen[here][inside] *= share
     return tuple(
-        one if now is one.visibility else replace(one, visibility=now) for one, now in zip(results, seen, strict=True)
+        one if now is one.diagnostics.visibility else replace(one, diagnostics=replace(one.diagnostics, visibility=now))
+        for one, now in zip(results, seen, strict=True)
     )
 
 
@@ -60,9 +61,9 @@ def _placed(result: Reconstruction) -> tuple[Array, tuple[Array, Array]] | None:
 
     None where there is none, or it is not wholly in front of the camera.
     """
-    if result.surface_vertices is None or not np.isfinite(result.camera_T_object).all():
+    if result.shape.surface_vertices is None or not np.isfinite(result.camera_T_object).all():
         return None
-    vertices = transform(result.camera_T_object, result.surface_vertices)
+    vertices = transform(result.camera_T_object, result.shape.surface_vertices)
     if not vertices[:, 2].min() > MIN_DEPTH:
         return None
     around = vertices[:, :2] / vertices[:, 2:]

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.half_turn import turned_alternative
 from fgrecon.core.reconstruction import Alternative
-from fgrecon.core.turned import turned_alternative
 from fgrecon.solve.graph.mode_selection import is_flipped
 from fgrecon.solve.solve_settings import STATUS
 

@@ -29,7 +29,7 @@ def refined(given: Box3D, errors: BoxErrors, result: Reconstruction | None, erro
     if result is None:
         return RefinedBox(given, given, f"Unchanged: {error}")
     weak = _weak(result) or _contradiction(given, errors, result)
-    covariance, size = result.pose_covariance, result.size_covariance
+    covariance, size = result.uncertainty.pose_covariance, result.uncertainty.size_covariance
     if weak is not None or covariance is None or size is None:
         return RefinedBox(given, given, f"Unchanged: {weak or result.message}", result)
     return RefinedBox(
@@ -47,7 +47,7 @@ def _weak(result: Reconstruction) -> str | None:
     """Why a result says nothing; None where it says something."""
     if not result.status.determined:
         return result.message
-    trusted = int(np.count_nonzero(result.weights >= TRUSTED))
+    trusted = int(np.count_nonzero(result.diagnostics.weights >= TRUSTED))
     return (
         None
         if trusted >= SCENE.refined_keypoints

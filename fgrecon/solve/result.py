@@ -14,7 +14,18 @@ from fgrecon.core.deferred import Deferred
 from fgrecon.core.detection import calibrated_facing, pose_facing_probability
 from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import wrap_angle
-from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
+from fgrecon.core.reconstruction import (
+    Alternative,
+    Diagnostics,
+    GraphFactor,
+    Iteration,
+    Pose,
+    Reconstruction,
+    Shape,
+    Status,
+    Uncertainty,
+    rotation_y,
+)
 from fgrecon.core.size_prior import LONGEST, SHORTEST
 from fgrecon.core.status import Regions
 from fgrecon.core.text import counted
@@ -212,34 +223,42 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
     found = Reconstruction(
         status=status,
         message=message,
-        category=category.name,
-        prior=prior.name,
-        keypoint_names=category.keypoints,
-        camera_T_object=camera_T_object,
-        coefficients=coefficients,
-        offsets=offsets,
-        wireframe=wireframe,
-        wireframe_uv=camera.distort(camera.project(transform(camera_T_object, wireframe))),
-        edges=np.array(category.edges, dtype=np.int64).reshape(-1, 2),
-        box_size=box_size,
-        weights=end.weights,
-        sigmas=sigmas,
-        visibility=probability(clearance(vertices, surface.faces, wireframe, centre)),
-        pose_covariance=None if uncertainty is None else uncertainty.pose,
-        coefficients_covariance=None if uncertainty is None else uncertainty.coefficients,
-        keypoint_covariance=None if uncertainty is None else uncertainty.keypoints,
-        alternatives=with_probabilities(camera_T_object, coefficients, end.alternatives, facing),
-        surface_vertices=None if prior.surface is None else vertices,
-        surface_faces=None if prior.surface is None else surface.triangles,
-        faces={face.name: face.keypoints for face in category.faces},
-        symmetric_pairs=np.array(category.symmetric_pairs, dtype=np.int64).reshape(-1, 2),
-        graph_iterations=end.optimum.iterations,
-        graph_gain=end.optimum.gain,
-        facing_probability=facing,
-        size_covariance=None if uncertainty is None else uncertainty.size,
-        regions=_regions(problem),
-        box_excess=excess,
-        **diagnostics,
+        pose=Pose(
+            camera_T_object=camera_T_object,
+            wireframe_uv=camera.distort(camera.project(transform(camera_T_object, wireframe))),
+        ),
+        shape=Shape(
+            category=category.name,
+            prior=prior.name,
+            keypoint_names=category.keypoints,
+            coefficients=coefficients,
+            offsets=offsets,
+            wireframe=wireframe,
+            edges=np.array(category.edges, dtype=np.int64).reshape(-1, 2),
+            box_size=box_size,
+            surface_vertices=None if prior.surface is None else vertices,
+            surface_faces=None if prior.surface is None else surface.triangles,
+            faces={face.name: face.keypoints for face in category.faces},
+            symmetric_pairs=np.array(category.symmetric_pairs, dtype=np.int64).reshape(-1, 2),
+        ),
+        uncertainty=Uncertainty(
+            pose_covariance=None if uncertainty is None else uncertainty.pose,
+            coefficients_covariance=None if uncertainty is None else uncertainty.coefficients,
+            keypoint_covariance=None if uncertainty is None else uncertainty.keypoints,
+            alternatives=with_probabilities(camera_T_object, coefficients, end.alternatives, facing),
+            facing_probability=facing,
+            size_covariance=None if uncertainty is None else uncertainty.size,
+            regions=_regions(problem),
+        ),
+        diagnostics=Diagnostics(
+            weights=end.weights,
+            sigmas=sigmas,
+            visibility=probability(clearance(vertices, surface.faces, wireframe, centre)),
+            graph_iterations=end.optimum.iterations,
+            graph_gain=end.optimum.gain,
+            box_excess=excess,
+            **diagnostics,
+        ),
     )
     return weakened(found, reasons)
 

@@ -227,7 +227,7 @@ def _scene_of_image(
     refused = scene.independent.refused
     ground, covariance = scene.grounds.get(image, (images.setup.ground, None))
     message = scene.message(image, sum(number in scene.results for number in own), len(images.vehicles))
-    off = boxes_off(each[n].box_excess for n in numbers)
+    off = boxes_off(each[n].diagnostics.box_excess for n in numbers)
     return SceneReconstruction(
         tuple(number - first for number in numbers),
         with_occlusion([each[n] for n in numbers]),
@@ -341,7 +341,7 @@ def _estimate(best: _JointSolve, joint: Sequence[_JointSolve], known: Camera) ->
             for one in sorted(joint, key=lambda one: one.optimum.energy)
         )
         shared = ("the focal length",)
-    determined = marginals is not None and all(one.pose_covariance is not None for one in each.values())
+    determined = marginals is not None and all(one.uncertainty.pose_covariance is not None for one in each.values())
     return _Estimate(best.independent, camera, each, grounds, distinct_lengths(lengths), shared, determined)
 
 
@@ -360,7 +360,8 @@ def _vehicles(best: _JointSolve, marginalised: Marginalised) -> dict[int, Recons
     each = dict(zip(solved, found, strict=True))
     for one_ground in best.standing.values():
         for number, contact in one_ground.contacts.items():
-            energies = {**each[number].energies, "ground": float(contact.error(values))}
-            result = replace(each[number], energies=energies)
+            diagnostics = each[number].diagnostics
+            energies = {**diagnostics.energies, "ground": float(contact.error(values))}
+            result = replace(each[number], diagnostics=replace(diagnostics, energies=energies))
             each[number] = weakened(result, one_ground.off_ground(result, solved[number].problem.ground, values))
     return each

@@ -21,12 +21,12 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.half_turn import turned_alternative
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import GraphFactor, Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
-from fgrecon.core.turned import turned_alternative
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
 from fgrecon.solve.facing import couple_facings
@@ -339,8 +339,10 @@ def _estimate(
 ) -> VehicleEstimate:
     """Of one frame; `moving` is the velocity's covariance, which may be unknown, or None where it has no velocity."""
     place, pose = context.world_T_camera, frame.pose.matrix()
-    if context.known is not None and result.pose_covariance is not None:
-        result = replace(result, pose_covariance=context.known.considered(pose, result.pose_covariance))
+    covariance = result.uncertainty.pose_covariance
+    if context.known is not None and covariance is not None:
+        covariance = context.known.considered(pose, covariance)
+        result = replace(result, uncertainty=replace(result.uncertainty, pose_covariance=covariance))
     velocity: Array | None = None
     turn_rate: float | None = None
     spread: Array | None = None

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import wrap_angle
-from fgrecon.core.plain import plain
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.serialise import plain
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.kitti_files import Objects, TrackedObjects, format_tracking
 from fgrecon.video.follow import DEFAULT_KIND, TrackedFrame
@@ -53,7 +53,7 @@ def _row(frame: TrackedFrame, identity: int, *, flat: bool) -> dict[str, Any]:
     row |= dict(zip(("x1", "y1", "x2", "y2"), box, strict=True))
     if flat:
         return {name: value for name, value in row.items() if name not in lists}
-    covariance = result.pose_covariance
+    covariance = result.uncertainty.pose_covariance
     return row | {
         "pose_covariance": None if covariance is None else covariance.ravel().tolist(),
         "world_T_object": None if in_world is None else in_world.ravel().tolist(),

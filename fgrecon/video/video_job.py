@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from fgrecon.batch.parts import refuse_batch
 from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from fgrecon.core.choices import BoxModel
-from fgrecon.core.doubts import Doubts, doubt_of, hardly_fits
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.input_warnings import Doubts, doubt_of, hardly_fits
 from fgrecon.core.text import counted
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.export.formats import export_rows
@@ -358,7 +358,7 @@ def _given_warnings(job: VideoJob, run: VideoRun) -> list[str]:
             name = f"{identity} in {frame.name}"
             doubts.add(name, doubt_of(seen, job.camera))
             if (estimate := frame.estimates.get(identity)) is not None:
-                doubts.add_fit(name, hardly=hardly_fits(seen, estimate.reconstruction.weights))
+                doubts.add_fit(name, hardly=hardly_fits(seen, estimate.reconstruction.diagnostics.weights))
     return lines + doubts.lines()
 
 

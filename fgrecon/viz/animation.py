@@ -65,7 +65,7 @@ def animate(path: str | Path, vehicle: SolvedVehicle) -> Path:
         MissingPackageError: It is an MP4, and PyAV is not installed.
     """
     kind = check_format(path)
-    if not vehicle.reconstruction.history:
+    if not vehicle.reconstruction.diagnostics.history:
         raise InvalidInputError("history", "empty", "Reconstruct with keep_history=True.")
     frames = list(_frames(vehicle))
     return write_bytes(path, _gif(frames)) if kind == "gif" else _mp4(path, frames)
@@ -76,7 +76,7 @@ def _frames(vehicle: SolvedVehicle) -> Iterator[NDArray[np.uint8]]:
     result, observation, truth = vehicle.reconstruction, vehicle.observation, vehicle.truth
     figure = new_figure(_WIDTH, _HEIGHT)
     photo = place_axes(figure, 0.08, _LOW, _PANEL * _ASPECT, _PANEL)
-    draw_crop(photo, vehicle.pixels, vehicle.camera, crop_around(observation, result.wireframe_uv, aspect=_ASPECT))
+    draw_crop(photo, vehicle.pixels, vehicle.camera, crop_around(observation, result.pose.wireframe_uv, aspect=_ASPECT))
     if observation.box is not None:
         draw_box(photo, observation.box)
     above = place_axes(figure, 4.72, 0.5, 2.0, _PANEL - 0.4)
@@ -87,7 +87,7 @@ def _frames(vehicle: SolvedVehicle) -> Iterator[NDArray[np.uint8]]:
     totals = _prepare_energy(energy, result)
     heading = figure.text(0.1 / _WIDTH, 1 - 0.2 / _HEIGHT, "", fontsize=9, va="center", parse_math=False)
     edges = style.edges_by_side(result)
-    for row, step in enumerate(result.history):
+    for row, step in enumerate(result.diagnostics.history):
         fixed = {axes: set(axes.get_children()) for axes in (photo, above, energy)}
         projections = image_points(vehicle.camera, step.camera_T_object, step.keypoints)
         draw_edges(photo, projections, edges)
@@ -113,7 +113,7 @@ def _draw_ground(axes: Any, result: Reconstruction, truth: Truth | None) -> None
     if truth is not None and truth.box_size is not None:
         corners = transform(truth.camera_T_object, outline_corners(truth.box_size)[BOX_EDGES[:4, 0]])[[0, 1, 2, 3, 0]]
         axes.plot(corners[:, 0], corners[:, 2], color=unit(style.TRUTH), linewidth=1.2, zorder=2)
-    start = result.history[0]
+    start = result.diagnostics.history[0]
     away = transform(start.camera_T_object, start.keypoints)[:, [0, 2]] - (x, z)
     reach = float(np.clip(1.05 * np.abs(away).max(), _REACH, _FARTHEST))
     axes.set_xlim(x - reach, x + reach)
@@ -125,7 +125,7 @@ def _draw_ground(axes: Any, result: Reconstruction, truth: Truth | None) -> None
 
 def _prepare_energy(axes: Any, result: Reconstruction) -> NDArray[np.float64]:
     """Axes for the energy, as large as all of it; (n,) totals."""
-    totals = np.array([total_energy(step) for step in result.history])
+    totals = np.array([total_energy(step) for step in result.diagnostics.history])
     finite = totals[np.isfinite(totals)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
     margin = 0.06 * max(high - low, 1e-3)

@@ -40,11 +40,11 @@ def vehicle_blueprint(vehicle: SolvedVehicle) -> Any:
     import rerun.blueprint as rrb
 
     result, truth = vehicle.reconstruction, vehicle.truth
-    crop = crop_around(vehicle.observation, result.wireframe_uv, aspect=_ASPECT)
+    crop = crop_around(vehicle.observation, result.pose.wireframe_uv, aspect=_ASPECT)
     plots = [*_step_plots(), _plot_view("Shape", entities.COEFFICIENTS)]
     if truth is not None:
         plots.append(_error_views(entities.ERROR, shape=truth.keypoints is not None))
-    structure = [_graph_view(lay_out(result.graph))] if result.graph else []
+    structure = [_graph_view(lay_out(result.diagnostics.graph))] if result.diagnostics.graph else []
     return _page(
         [_image_view(crop), _scene_view(_eye_beside(result), model=vehicle.model is not None)],
         [rrb.Tabs(*plots), *structure, _word_views()],
@@ -232,11 +232,11 @@ def _details(member: Member) -> Any:
     import rerun.blueprint as rrb
 
     result = member.vehicle.reconstruction
-    crop = crop_around(member.vehicle.observation, result.wireframe_uv, aspect=_ASPECT)
+    crop = crop_around(member.vehicle.observation, result.pose.wireframe_uv, aspect=_ASPECT)
     contents = (f"/{entities.CAMERA}", f"/{entities.IMAGE}", f"/{member.place(f'{entities.CAMERA}/')}**")
     views = [_image_view(crop, "Keypoints by weight", contents), *_step_plots(member.place(""))]
-    if result.graph:
-        views.append(_graph_view(lay_out(result.graph), "Factor graph", member.place(entities.GRAPH)))
+    if result.diagnostics.graph:
+        views.append(_graph_view(lay_out(result.diagnostics.graph), "Factor graph", member.place(entities.GRAPH)))
     return rrb.Tabs(*views, name=member.title)
 
 

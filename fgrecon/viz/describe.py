@@ -90,16 +90,20 @@ def summary_table(reconstruction: Reconstruction, observation: Observation, trut
     result = reconstruction
     length, width, height = result.box_size
     x, y, z = result.location
-    residual = median_residual(observation, result.wireframe_uv, result.weights)
+    residual = median_residual(observation, result.pose.wireframe_uv, result.diagnostics.weights)
     rows = [
         ("Status", f"**{result.status.value}**: {result.message}"),
-        ("Prior", f"{result.prior} ({result.category})"),
+        ("Prior", f"{result.shape.prior} ({result.shape.category})"),
         ("Yaw (rotation_y)", f"{np.degrees(result.rotation_y):.1f}°"),
         ("Position in the camera frame", f"{x:.2f}, {y:.2f}, {z:.2f} m"),
         ("Length, width, height", f"{length:.2f}, {width:.2f}, {height:.2f} m"),
         ("Median residual of trusted keypoints", f"{residual:.2f} px"),
         ("Other poses that the search ended in", _alternatives(result)),
-        ("Time", ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in result.milliseconds.items()) or "not measured"),
+        (
+            "Time",
+            ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in result.diagnostics.milliseconds.items())
+            or "not measured",
+        ),
     ]
     if truth is not None:
         rows.append(("Error against the truth", describe_errors(truth, result.camera_T_object, result.wireframe)))
@@ -127,7 +131,7 @@ def track_table(track: TrackReconstruction, errors: Sequence[Mapping[str, float]
     length, width, height = track.box_size
     rows = [
         ("Status", f"**{track.status.value}**: {track.message}"),
-        ("Prior", f"{track.frames[0].prior} ({track.frames[0].category})"),
+        ("Prior", f"{track.frames[0].shape.prior} ({track.frames[0].shape.category})"),
         ("Images", f"{len(track.frames)} solved, {len(track.refused)} refused"),
         ("Length, width, height", f"{length:.2f}, {width:.2f}, {height:.2f} m"),
         ("Time", ", ".join(f"{stage} {ms:.0f} ms" for stage, ms in track.milliseconds.items())),
@@ -140,6 +144,6 @@ def track_table(track: TrackReconstruction, errors: Sequence[Mapping[str, float]
 
 
 def _alternatives(reconstruction: Reconstruction) -> str:
-    excesses = [other.excess for other in reconstruction.alternatives if np.isfinite(other.excess)]
-    count = str(len(reconstruction.alternatives))
+    excesses = [other.excess for other in reconstruction.uncertainty.alternatives if np.isfinite(other.excess)]
+    count = str(len(reconstruction.uncertainty.alternatives))
     return f"{count}, the best {min(excesses):.1f} nats worse" if excesses else count

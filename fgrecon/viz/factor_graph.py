@@ -59,13 +59,15 @@ def log_graph(rows: Rows) -> None:
 
     (play,) = rows.plays
     result = play.vehicle.reconstruction
-    if not result.graph:
+    if not result.diagnostics.graph:
         return
-    layout = lay_out(result.graph)
+    layout = lay_out(result.diagnostics.graph)
     log_layout(play.stream, layout)
-    place = {name: index for index, name in enumerate(result.keypoint_names)}
+    place = {name: index for index, name in enumerate(result.shape.keypoint_names)}
     drawn = [
-        (row, place[f.label]) for row, f in enumerate(result.graph, start=layout.variables) if _is_keypoint(f, place)
+        (row, place[f.label])
+        for row, f in enumerate(result.diagnostics.graph, start=layout.variables)
+        if _is_keypoint(f, place)
     ]
     colours = np.broadcast_to(np.array(layout.colours, dtype=np.uint8), (len(rows.steps), len(layout.nodes), 3)).copy()
     if drawn:

@@ -139,10 +139,10 @@ def _covariance(
     result: Reconstruction, pose: NDArray[np.float64], level: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
     """(2, 2) of the position in the ground plane; None where it is not known."""
-    if result.pose_covariance is None:
+    if result.uncertainty.pose_covariance is None:
         return None
     flat = level[[0, 2]]
-    covariance: NDArray[np.float64] = flat @ position_covariance(pose, result.pose_covariance) @ flat.T
+    covariance: NDArray[np.float64] = flat @ position_covariance(pose, result.uncertainty.pose_covariance) @ flat.T
     return covariance if np.isfinite(covariance).all() else None
 
 

@@ -57,8 +57,8 @@ def plot(
         InvalidInputError: The image is none, or the observation is of another category.
     """
     photograph = _photograph(image)
-    if observation is not None and len(observation.keypoints) != len(result.weights):
-        fix = f"Give one of {len(result.weights)} keypoints."
+    if observation is not None and len(observation.keypoints) != len(result.diagnostics.weights):
+        fix = f"Give one of {len(result.diagnostics.weights)} keypoints."
         raise InvalidInputError("observation", f"{len(observation.keypoints)} keypoints", fix)
     figure = new_figure(_WIDTH + _SOLID + _ABOVE + 6 * _GAP, _HEIGHT + _HEADING + _FOOT)
     axes = place_axes(figure, _GAP, _FOOT, _WIDTH, _HEIGHT)
@@ -127,18 +127,20 @@ def _draw_over(
     axes: Any, result: Reconstruction, image: NDArray[np.uint8] | None, observation: Observation | None, aspect: float
 ) -> None:
     """The wireframe over the part of the image where it is; without an observation its keypoints by their weight."""
-    count = len(result.weights)
+    count = len(result.diagnostics.weights)
     nothing = Observation(np.full((count, 2), np.nan), np.zeros(count))
-    crop = crop_around(observation or nothing, result.wireframe_uv, aspect=aspect)
+    crop = crop_around(observation or nothing, result.pose.wireframe_uv, aspect=aspect)
     draw_crop(axes, image, None, crop)
     if observation is not None and observation.box is not None:
         draw_box(axes, observation.box)
     if _solved(result):
-        draw_edges(axes, result.wireframe_uv, style.edges_by_side(result))
+        draw_edges(axes, result.pose.wireframe_uv, style.edges_by_side(result))
     if observation is not None:
-        draw_keypoints(axes, observation, result.weights, result.wireframe_uv if _solved(result) else None)
+        draw_keypoints(
+            axes, observation, result.diagnostics.weights, result.pose.wireframe_uv if _solved(result) else None
+        )
     elif _solved(result):
-        draw_keypoints(axes, Observation(result.wireframe_uv, np.ones(count)), result.weights, None)
+        draw_keypoints(axes, Observation(result.pose.wireframe_uv, np.ones(count)), result.diagnostics.weights, None)
 
 
 def _photograph(image: NDArray[np.uint8] | str | Path | None) -> NDArray[np.uint8] | None:
@@ -154,14 +156,17 @@ def _solved(result: Reconstruction) -> bool:
 def _rows(result: Reconstruction) -> list[tuple[str, str]]:
     x, y, z = result.location
     length, width, height = result.box_size
-    time = sum(result.milliseconds.values())
+    time = sum(result.diagnostics.milliseconds.values())
     return [
         ("status", f"{result.status.value}: {result.message}"),
         ("rotation_y", f"{np.degrees(result.rotation_y):.1f}°"),
         ("location", f"{x:.2f}, {y:.2f}, {z:.2f} m"),
         ("length, width, height", f"{length:.2f}, {width:.2f}, {height:.2f} m"),
-        ("keypoints trusted", f"{np.count_nonzero(result.weights >= TRUSTED)} of {len(result.weights)}"),
-        ("other poses", str(len(result.alternatives))),
+        (
+            "keypoints trusted",
+            f"{np.count_nonzero(result.diagnostics.weights >= TRUSTED)} of {len(result.diagnostics.weights)}",
+        ),
+        ("other poses", str(len(result.uncertainty.alternatives))),
         *([("time", f"{time:.0f} ms")] if time else []),  # with others of an image it is theirs as well
     ]
 

@@ -124,9 +124,9 @@ def depth_image(results: Iterable[Reconstruction], camera: Camera, size: tuple[f
 
 def _surface(result: Reconstruction) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Vertices (V, 3) and triangles (F, 3) that hide what is behind them."""
-    if result.surface_vertices is not None and result.surface_faces is not None:
-        return result.surface_vertices, result.surface_faces
-    triangles = [[face[corner] for corner in part] for face in result.faces.values() for part in fan(len(face))]
+    if result.shape.surface_vertices is not None and result.shape.surface_faces is not None:
+        return result.shape.surface_vertices, result.shape.surface_faces
+    triangles = [[face[corner] for corner in part] for face in result.shape.faces.values() for part in fan(len(face))]
     return result.wireframe, np.array(triangles, dtype=np.int64).reshape(-1, 3)
 
 

@@ -67,8 +67,8 @@ def _draw_vehicle(canvas: NDArray[np.uint8], vehicle: DrawnVehicle, camera: Came
         _lines(canvas, corners[BOX_EDGES[:4]], colour, width)
         wireframe = image_points(camera, vehicle.pose, result.wireframe)
         if x2 - x1 > _CASED:
-            _lines(canvas, wireframe[result.edges], style.PAPER, width + 2)
-        _lines(canvas, wireframe[result.edges], colour, width)
+            _lines(canvas, wireframe[result.shape.edges], style.PAPER, width + 2)
+        _lines(canvas, wireframe[result.shape.edges], colour, width)
     text = f"{vehicle.identity} {vehicle.words}".strip()
     _write(canvas, text, (max(round(x1), 0), max(round(y1) - 14, 0)), colour, style.PAPER)
 

@@ -81,7 +81,7 @@ def picture(vehicle: SolvedVehicle) -> Any:
     """
     result = vehicle.reconstruction
     figure = new_figure(_WIDTH, _HEIGHT)
-    crop = crop_around(vehicle.observation, result.wireframe_uv, aspect=_ASPECT)
+    crop = crop_around(vehicle.observation, result.pose.wireframe_uv, aspect=_ASPECT)
     edges, height = style.edges_by_side(result), _PANEL / _ASPECT
     for column, (title, moment) in enumerate(_moments(vehicle)):
         axes = place_axes(figure, _GAP + column * (_PANEL + _GAP), _BOTTOM, _PANEL, height)
@@ -144,7 +144,7 @@ def contact_sheet(vehicles: Sequence[SolvedVehicle], *, columns: int = 4) -> Any
     """
     figure, cells = new_sheet("vehicles", len(vehicles), columns, _CELL_HEADING)
     for vehicle, axes in zip(vehicles, cells, strict=True):
-        crop = crop_around(vehicle.observation, vehicle.reconstruction.wireframe_uv, aspect=CELL_ASPECT)
+        crop = crop_around(vehicle.observation, vehicle.reconstruction.pose.wireframe_uv, aspect=CELL_ASPECT)
         _draw_moment(axes, vehicle, crop, _heading(vehicle), _result(vehicle))
     return figure
 
@@ -195,7 +195,7 @@ def place_axes(figure: Any, left: float, bottom: float, width: float, height: fl
 
 def _moments(vehicle: SolvedVehicle) -> tuple[tuple[str, _Moment | None], ...]:
     """The three panels over the photograph; None where the stage did not run."""
-    history = vehicle.reconstruction.history
+    history = vehicle.reconstruction.diagnostics.history
     pose = [step for step in history if step.stage == "pose"]
     joint = any(step.stage == "joint" for step in history)
     return (
@@ -207,7 +207,7 @@ def _moments(vehicle: SolvedVehicle) -> tuple[tuple[str, _Moment | None], ...]:
 
 def _result(vehicle: SolvedVehicle) -> _Moment | None:
     result = vehicle.reconstruction
-    return _Moment(result.camera_T_object, result.wireframe, result.weights) if vehicle.solved else None
+    return _Moment(result.camera_T_object, result.wireframe, result.diagnostics.weights) if vehicle.solved else None
 
 
 def _draw_moment(axes: Any, vehicle: SolvedVehicle, crop: Box, title: str, moment: _Moment | None) -> None:
@@ -255,7 +255,7 @@ def _caption(vehicle: SolvedVehicle) -> str:
         (x, y, z), (length, width, height) = result.location, result.box_size
         sentence += (
             f" Yaw {np.degrees(result.rotation_y):.1f}°, position ({x:.2f}, {y:.2f}, {z:.2f}) m, "
-            f"size {length:.2f} × {width:.2f} × {height:.2f} m. Prior: {result.prior}."
+            f"size {length:.2f} × {width:.2f} × {height:.2f} m. Prior: {result.shape.prior}."
         )
         if vehicle.truth is not None:
             errors = describe_errors(vehicle.truth, result.camera_T_object, result.wireframe)

@@ -47,18 +47,18 @@ class Playback:
     def steps(self) -> tuple[Iteration, ...]:
         """The history; where none was kept the result as its only step, of stage `result`; none where it failed."""
         result = self.vehicle.reconstruction
-        if result.history or not self.vehicle.solved:
-            return tuple(result.history)
+        if result.diagnostics.history or not self.vehicle.solved:
+            return tuple(result.diagnostics.history)
         last = Iteration(
             stage=RESULT,
             irls=0,
             step=0,
             camera_T_object=result.camera_T_object,
-            coefficients=result.coefficients,
+            coefficients=result.shape.coefficients,
             keypoints=result.wireframe,
-            projections=result.wireframe_uv,
-            weights=result.weights,
-            energies=result.energies,
+            projections=result.pose.wireframe_uv,
+            weights=result.diagnostics.weights,
+            energies=result.diagnostics.energies,
         )
         return (last,)
 

@@ -55,8 +55,8 @@ class PlotSink:
 
     def weights(self, weights: NDArray[np.float64], result: Reconstruction) -> None:
         """Weights (n, K) of the keypoints of a result."""
-        sides = style.keypoint_sides(result.keypoint_names, result.wireframe)
-        names = tuple(name.replace("_", " ") for name in result.keypoint_names)
+        sides = style.keypoint_sides(result.shape.keypoint_names, result.wireframe)
+        names = tuple(name.replace("_", " ") for name in result.shape.keypoint_names)
         self._send(entities.WEIGHTS, weights, names, style.series_colours(sides))
 
     def coefficients(self, coefficients: NDArray[np.float64]) -> None:

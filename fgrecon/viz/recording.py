@@ -72,7 +72,7 @@ def recording_of(vehicle: SolvedVehicle, *, ground: Ground | None = None) -> Rec
 
     def make() -> Callable[[Any], None]:
         result, photograph = vehicle.reconstruction, vehicle.photograph
-        play = Playback(Outbox(f"{result.category}, {result.status.value}"), vehicle)
+        play = Playback(Outbox(f"{result.shape.category}, {result.status.value}"), vehicle)
         log_camera(play, photograph)
         log_frame(play, photograph)
         log_vehicle(play)
@@ -96,7 +96,7 @@ def log_vehicle(play: Playback) -> None:
         log_steps(rows)
         log_plots(rows)
         log_graph(rows)
-        if vehicle.reconstruction.history:
+        if vehicle.reconstruction.diagnostics.history:
             log_history(rows)
     if vehicle.solved:
         log_result(play)
@@ -188,7 +188,7 @@ def _log_image_steps(rows: Rows) -> None:
             positions=rows.detected[measured],
             colors=rows.colours[measured],
             radii=-style.weight_radii(rows.weights)[measured],
-            labels=np.array(result.keypoint_names)[np.nonzero(measured)[1]].tolist(),
+            labels=np.array(result.shape.keypoint_names)[np.nonzero(measured)[1]].tolist(),
         )
         rows.once(entities.KEYPOINTS_2D, rr.Points2D, show_labels=False, draw_order=30.0)
         rows.send(entities.KEYPOINTS_2D, points.partition(measured.sum(axis=1)))
@@ -199,7 +199,7 @@ def _log_image_steps(rows: Rows) -> None:
         rows.once(entity, **line_style(2, style.SIDE_COLOURS[side], _LINE, 10.0))
         rows.strips(entity, rr.LineStrips2D, rows.pixels[:, edges])
     rows.once(entities.PREVIOUS_2D, **line_style(2, (*style.PREVIOUS, _FAINT), 0.6, 8.0))
-    rows.strips(entities.PREVIOUS_2D, rr.LineStrips2D, rows.pixels[rows.previous][:, result.edges])
+    rows.strips(entities.PREVIOUS_2D, rr.LineStrips2D, rows.pixels[rows.previous][:, result.shape.edges])
 
 
 def _log_scene_steps(rows: Rows) -> None:
@@ -209,7 +209,7 @@ def _log_scene_steps(rows: Rows) -> None:
     result = rows.plays[0].vehicle.reconstruction
     poses = rr.Transform3D.columns(translation=rows.poses[:, :3, 3], mat3x3=rows.poses[:, :3, :3])
     rows.send(entities.VEHICLE, poses)
-    rows.once(entities.KEYPOINTS_3D, rr.Points3D, labels=result.keypoint_names, show_labels=False, radii=-4.0)
+    rows.once(entities.KEYPOINTS_3D, rr.Points3D, labels=result.shape.keypoint_names, show_labels=False, radii=-4.0)
     points = rr.Points3D.columns(positions=rows.keypoints.reshape(-1, 3), colors=rows.colours.reshape(-1, 3))
     rows.send(entities.KEYPOINTS_3D, points.partition([rows.keypoints.shape[1]] * len(rows.steps)))
     for side, edges in rows.edges.items():
@@ -218,7 +218,7 @@ def _log_scene_steps(rows: Rows) -> None:
         rows.strips(entity, rr.LineStrips3D, rows.keypoints[:, edges])
     rows.once(entities.PREVIOUS_3D, **line_style(3, (*style.PREVIOUS, _FAINT), 0.6))
     before = rows.keypoints_in_camera[rows.previous]
-    rows.strips(entities.PREVIOUS_3D, rr.LineStrips3D, before[:, result.edges])
+    rows.strips(entities.PREVIOUS_3D, rr.LineStrips3D, before[:, result.shape.edges])
 
 
 def _log_planes(rows: Rows) -> None:
@@ -226,9 +226,9 @@ def _log_planes(rows: Rows) -> None:
     import rerun as rr
 
     result = rows.plays[0].vehicle.reconstruction
-    outlines = face_outlines(rows.keypoints, result.faces)
-    if len(result.symmetric_pairs):
-        outlines[entities.MEDIAL] = medial_outlines(rows.keypoints, result.symmetric_pairs)
+    outlines = face_outlines(rows.keypoints, result.shape.faces)
+    if len(result.shape.symmetric_pairs):
+        outlines[entities.MEDIAL] = medial_outlines(rows.keypoints, result.shape.symmetric_pairs)
     for index, (name, outline) in enumerate(outlines.items()):
         corners = outline.shape[1]
         entity = f"{entities.PLANES}/{name}"
@@ -255,11 +255,13 @@ def log_result(play: Playback) -> None:
     play.once(entities.VEHICLE_BOX, **line_style(3, style.SCREEN_INK, 0.75))
     corners = outline_corners(result.box_size)[None, BOX_EDGES]
     play.at_result(entities.VEHICLE_BOX, strip_columns(rr.LineStrips3D, corners))
-    if result.surface_vertices is not None and result.surface_faces is not None:
+    if result.shape.surface_vertices is not None and result.shape.surface_faces is not None:
         colour = (*style.SURFACE, _SURFACE_ALPHA)
-        _log_mesh(play, entities.SURFACE, result.surface_vertices, result.surface_faces, colour)
-    if result.keypoint_covariance is not None:
-        log_ellipsoids(play, entities.UNCERTAINTY, result.wireframe, result.keypoint_covariance, line_radii=-0.5)
+        _log_mesh(play, entities.SURFACE, result.shape.surface_vertices, result.shape.surface_faces, colour)
+    if result.uncertainty.keypoint_covariance is not None:
+        log_ellipsoids(
+            play, entities.UNCERTAINTY, result.wireframe, result.uncertainty.keypoint_covariance, line_radii=-0.5
+        )
 
 
 def log_ellipsoids(

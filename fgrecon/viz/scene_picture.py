@@ -70,7 +70,7 @@ def scene_picture(
     if len({vehicle.identity for vehicle in vehicles}) < len(vehicles):
         raise InvalidInputError("vehicles", [v.identity for v in vehicles], "Give each vehicle an id of its own.")
     photograph = None if image is None else as_image(image)
-    histories = [(v.identity, v.result.history) for v in vehicles if before and v.result is not None]
+    histories = [(v.identity, v.result.diagnostics.history) for v in vehicles if before and v.result is not None]
     starts = {identity: history[0].camera_T_object for identity, history in histories if history}
     return _compose(
         photograph, DrawnScene(vehicles, camera, resolution(camera, photograph), ground, starts), beside=beside
@@ -140,14 +140,14 @@ def _draw_photograph(axes: Any, image: NDArray[np.uint8] | None, scene: DrawnSce
         if not start:
             _draw_box(axes, vehicle, transform(pose, outline_corners(result.box_size)), scene.camera, depth)
             if vehicle.model is None and points * float(vehicle.box[2] - vehicle.box[0]) > _SMALL:
-                lines = pieces_of(transform(pose, result.wireframe)[result.edges])
+                lines = pieces_of(transform(pose, result.wireframe)[result.shape.edges])
                 visible, hidden = runs_of(lines, scene.camera, depth)
                 behind = style.FADED if image is None else style.PAPER
                 draw_paths(axes, hidden, behind, 0.35, "-", zorder=2, casing=False, alpha=_HIDDEN)
                 draw_paths(axes, visible, colour, 0.9, "-", zorder=4)
         elif vehicle.identity in scene.starts:
-            first = result.history[0]
-            lines = pieces_of(transform(first.camera_T_object, first.keypoints)[result.edges])
+            first = result.diagnostics.history[0]
+            lines = pieces_of(transform(first.camera_T_object, first.keypoints)[result.shape.edges])
             draw_paths(axes, runs_of(lines, scene.camera, None)[0], colour, 0.8, "-", zorder=4)
     for vehicle in scene.vehicles:
         if vehicle.pose is None:

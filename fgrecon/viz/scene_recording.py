@@ -117,8 +117,8 @@ def _log_position(play: Playback, member: Member) -> None:
         show_labels=True,
     )
     play.always(entities.HEADING, made_columns(arrow))
-    if result.pose_covariance is not None and np.isfinite(result.pose_covariance).all():
-        covariance = position_covariance(result.camera_T_object, result.pose_covariance)[None]
+    if result.uncertainty.pose_covariance is not None and np.isfinite(result.uncertainty.pose_covariance).all():
+        covariance = position_covariance(result.camera_T_object, result.uncertainty.pose_covariance)[None]
         log_ellipsoids(play, entities.POSITION, result.location[None], covariance, line_radii=-1.0, deviations=_RADIUS)
 
 

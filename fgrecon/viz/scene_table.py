@@ -91,7 +91,7 @@ def _values(vehicle: DrawnVehicle) -> tuple[str, ...]:
     result, pose = vehicle.posed
     distance, yaw = float(np.linalg.norm(result.location)), float(np.degrees(result.rotation_y))
     digits = 1 if distance < _WIDE else 0
-    covariance = result.pose_covariance
+    covariance = result.uncertainty.pose_covariance
     if covariance is None or not np.isfinite(covariance).all():
         return (f"{distance:.{digits}f}", f"{yaw:.0f}".translate(_MINUS))
     towards = result.location / max(distance, 1e-9)
@@ -124,7 +124,7 @@ def _errors(vehicle: DrawnVehicle, start: NDArray[np.float64] | None) -> tuple[s
     ends = f"{after[TRANSLATION_ERROR]:.2f}", f"{after[ORIENTATION_ERROR]:.1f}"
     if start is None:
         return ends
-    first = vehicle.truth.errors(start, result.history[0].keypoints)
+    first = vehicle.truth.errors(start, result.diagnostics.history[0].keypoints)
     return f"{first[TRANSLATION_ERROR]:.2f} → {ends[0]}", f"{first[ORIENTATION_ERROR]:.1f} → {ends[1]}"
 
 
@@ -181,7 +181,7 @@ def draw_key(axes: Any, scene: DrawnScene, room: float, lines: float, scale: flo
         axes.plot([0.02, 0.16], [y + 0.5, y + 0.5], color=unit(colour), linewidth=1.1, linestyle=dashes)
         axes.text(0.21, y + 0.5, text, fontsize=FONT, va="center", color=unit(ink))
         y += 1.0
-    if any(result.pose_covariance is not None for result in solved):
+    if any(result.uncertainty.pose_covariance is not None for result in solved):
         from matplotlib.patches import Ellipse
 
         axes.add_patch(Ellipse((0.09, y + 0.5), 0.13, 0.6, facecolor=(*unit(ink), 0.25), edgecolor=unit(ink), lw=0.7))

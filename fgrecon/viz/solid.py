@@ -38,14 +38,14 @@ def draw_three_quarter(axes: Any, reconstruction: Reconstruction, edges: Mapping
     azimuth = _OBLIQUE if front else np.pi - _OBLIQUE
     view = _view(azimuth if left else -azimuth, _ELEVATION)
     far = Side.RIGHT if left else Side.LEFT
-    if reconstruction.surface_vertices is not None and reconstruction.surface_faces is not None:
-        _shade(axes, reconstruction.surface_vertices @ view.T, reconstruction.surface_faces)
+    if reconstruction.shape.surface_vertices is not None and reconstruction.shape.surface_faces is not None:
+        _shade(axes, reconstruction.shape.surface_vertices @ view.T, reconstruction.shape.surface_faces)
     points = reconstruction.wireframe @ view.T
     # The far side shows through faintly.
     draw_edges(axes, points[:, :2], {side: e for side, e in edges.items() if side is far}, alpha=0.45)
     draw_edges(axes, points[:, :2], {side: e for side, e in edges.items() if side is not far})
-    hidden = reconstruction.visibility < _HIDDEN
-    colours = unit(style.weight_colours(reconstruction.weights))
+    hidden = reconstruction.diagnostics.visibility < _HIDDEN
+    colours = unit(style.weight_colours(reconstruction.diagnostics.weights))
     look: dict[str, Any] = {"s": 16, "edgecolors": [unit(style.INK)], "linewidths": 0.7, "zorder": 5}
     for chosen, faces in ((hidden, np.broadcast_to(unit(style.PAPER), colours.shape)), (~hidden, colours)):
         axes.scatter(*points[chosen, :2].T, c=faces[chosen], **look)

@@ -188,4 +188,4 @@ def series_colours(sides: tuple[Side, ...]) -> tuple[Colour, ...]:
 
 def edges_by_side(result: Reconstruction) -> Mapping[Side, NDArray[np.int64]]:
     """The wireframe's edges (E, 2) by side."""
-    return edge_sides(result.edges, keypoint_sides(result.keypoint_names, result.wireframe))
+    return edge_sides(result.shape.edges, keypoint_sides(result.shape.keypoint_names, result.wireframe))

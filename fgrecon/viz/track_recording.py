@@ -54,7 +54,7 @@ def track_recording_of(track: TrackReconstruction, inputs: TrackInputs) -> Recor
     """
 
     def make() -> Callable[[Any], None]:
-        whole = _Track(Outbox(f"track of {track.frames[0].category}, {track.status.value}"), track, inputs)
+        whole = _Track(Outbox(f"track of {track.frames[0].shape.category}, {track.status.value}"), track, inputs)
         _log_frames(whole)
         _log_results(whole)
         _log_paths(whole)
@@ -104,12 +104,12 @@ class _Track:
     @cached_property
     def first_joint(self) -> int:
         """Number of the first joint step on `step`: all searches come before."""
-        return sum(max(len(result.history), 1) - self.joint_steps for result in self.track.frames)
+        return sum(max(len(result.diagnostics.history), 1) - self.joint_steps for result in self.track.frames)
 
     @cached_property
     def first_update(self) -> int:
         """Number of the first joint weight update on `irls`."""
-        keys = [{(step.stage, step.irls) for step in result.history} for result in self.track.frames]
+        keys = [{(step.stage, step.irls) for step in result.diagnostics.history} for result in self.track.frames]
         return sum(len([key for key in updates if key[0] != "joint"]) for updates in keys)
 
     def joint_times(self, rows: Sequence[int] | None = None) -> list[Any]:
@@ -155,7 +155,7 @@ def _log_frames(whole: _Track) -> None:
     if drawn:
         rows = Rows(drawn)
         log_steps(rows)
-        if all(play.vehicle.reconstruction.history for play in drawn):
+        if all(play.vehicle.reconstruction.diagnostics.history for play in drawn):
             log_history(rows)
 
 
@@ -193,8 +193,8 @@ def _log_frame_plots(whole: _Track) -> None:
     """Energy, weights and errors of the result by frame."""
     results = [play.vehicle.reconstruction for play in whole.plays]
     plots = PlotSink(whole.stream, _frame_times(whole.plays), f"{entities.FRAMES}/")
-    plots.energies([result.energies for result in results])
-    plots.weights(np.stack([result.weights for result in results]), results[0])
+    plots.energies([result.diagnostics.energies for result in results])
+    plots.weights(np.stack([result.diagnostics.weights for result in results]), results[0])
     if whole.known:
         PlotSink(whole.stream, _frame_times(whole.known), f"{entities.FRAMES}/").errors(whole.errors)
 
@@ -204,7 +204,7 @@ def _log_joint(whole: _Track) -> None:
     import rerun as rr
 
     history, times = whole.track.history, whole.joint_times()
-    edges = whole.track.frames[0].edges
+    edges = whole.track.frames[0].shape.edges
     shapes = np.stack([Rows([p]).keypoints_in_camera[-len(history) :] for p in whole.plays], axis=1)  # (n, T, K, 3)
     strips = shapes[:, :, edges].reshape(len(history), -1, 2, 3)  # strips of all frames at each step
     whole.stream.send_fixed(entities.TRACK_3D, **line_style(3, (*style.SCREEN_INK, _FAINT), 0.6))

@@ -172,8 +172,8 @@ class _FrameLog:
             result = vehicle.result
             assert result is not None
             world_T_object = world_T_camera @ result.camera_T_object
-            lines = [*outline_corners(result.box_size)[BOX_EDGES], *result.wireframe[result.edges]]
-            flat.append(list(result.wireframe_uv[result.edges]))
+            lines = [*outline_corners(result.box_size)[BOX_EDGES], *result.wireframe[result.shape.edges]]
+            flat.append(list(result.pose.wireframe_uv[result.shape.edges]))
             solid.append([transform(world_T_object, line) for line in lines])
             noses.append(transform(world_T_object, np.array([(0, 0, 0), (result.box_size[0] / 2 + NOSE, 0, 0)])))
             trail = vehicle.trail

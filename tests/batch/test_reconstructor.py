@@ -18,6 +18,7 @@ from fgrecon.core.errors import AssumedCameraWarning, InvalidInputError
 from fgrecon.io.images import read_image, write_png
 from tests.batch.support import instances, untimed
 from tests.cli.conftest import K
+from tests.results import value_of
 
 
 @pytest.fixture(scope="module")
@@ -60,20 +61,21 @@ def test_rows_are_what_reconstruct_gives_to_the_last_bit(reconstructor, cars):
         assert row["camera_matrix"] == K.ravel().tolist()
         assert row["error"] is None
         for name in ("camera_T_object", "coefficients", "offsets", "wireframe", "weights", "sigmas", "pose_covariance"):
-            assert getattr(back, name).tobytes() == getattr(result, name).tobytes(), name
+            assert value_of(back, name).tobytes() == value_of(result, name).tobytes(), name
         np.testing.assert_array_equal(
-            [a.probability for a in back.alternatives], [a.probability for a in result.alternatives]
+            [a.probability for a in back.uncertainty.alternatives],
+            [a.probability for a in result.uncertainty.alternatives],
         )
         assert back.facing_probability == result.facing_probability
         assert back.reasons == result.reasons
-        np.testing.assert_array_equal(back.box_excess, result.box_excess)
-        np.testing.assert_array_equal(back.size_covariance, result.size_covariance)
-        assert [a.excess for a in back.alternatives] == [a.excess for a in result.alternatives]
-        assert (back.status, back.message, back.prior) == (result.status, result.message, result.prior)
+        np.testing.assert_array_equal(back.diagnostics.box_excess, result.diagnostics.box_excess)
+        np.testing.assert_array_equal(back.uncertainty.size_covariance, result.uncertainty.size_covariance)
+        assert [a.excess for a in back.uncertainty.alternatives] == [a.excess for a in result.uncertainty.alternatives]
+        assert (back.status, back.message, back.shape.prior) == (result.status, result.message, result.shape.prior)
         first_version = {name: value for name, value in row.items() if name not in ADDED}
         before = reconstruction_of(first_version, category)
-        assert (before.reasons, before.size_covariance) == ((), None)
-        assert np.isnan(before.pose_probability)
+        assert (before.reasons, before.uncertainty.size_covariance) == ((), None)
+        assert np.isnan(before.uncertainty.pose_probability)
 
 
 def test_columns_may_be_the_fields_of_an_instance_flat_or_not(reconstructor, cars):

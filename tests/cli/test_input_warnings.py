@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
-from fgrecon.core.doubts import Doubt, Doubts
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.input_warnings import Doubt, Doubts
 from fgrecon.io.catalogue import load_category
 
 CATEGORY = load_category("car14")

@@ -60,7 +60,7 @@ def test_json_stands_alone_on_the_output_and_is_a_whole_result(write, instance):
     result = Reconstruction.from_dict(entry["result"])
     assert result.status is Status.CONVERGED
     assert result.location.tolist() == entry["location"]
-    assert len(result.history) > 3
+    assert len(result.diagnostics.history) > 3
     assert "converged" in done.stderr
 
 

@@ -1,7 +1,5 @@
 """What `fgrecon run` writes beside vehicles, plots of them, and says of itself. No solver is asked."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -11,6 +9,7 @@ from fgrecon.core.reconstruction import Status
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.video import VideoRun
 from fgrecon.video.follow import TrackedFrame
+from tests.results import changed
 from tests.viz.made_up import make_example
 
 EXAMPLE = make_example()
@@ -21,7 +20,7 @@ def frame(number, **changes):
     """Vehicle 5, a metre further to the right in each frame."""
     pose = EXAMPLE.reconstruction.camera_T_object.copy()
     pose[0, 3] += number
-    result = replace(EXAMPLE.reconstruction, camera_T_object=pose, size_covariance=SIZES, **changes)
+    result = changed(EXAMPLE.reconstruction, camera_T_object=pose, size_covariance=SIZES, **changes)
     estimate = VehicleEstimate(5, 0.1 * number, result, np.array([10.0, 0.0, 0.0]), 0.0, 0.99, pose)
     boxes = {5: EXAMPLE.observation.box}
     return TrackedFrame(number, 0.1 * number, f"{number}", None, np.eye(4), boxes, estimates={5: estimate})

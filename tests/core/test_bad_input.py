@@ -117,7 +117,7 @@ def test_random_points_never_crash(offset):
 
 def test_three_points_are_the_fewest_and_are_not_called_certain():
     result = attempt(with_rows(slice(3, None), NAN))
-    assert np.flatnonzero(result.weights).tolist() == [0, 1, 2]
+    assert np.flatnonzero(result.diagnostics.weights).tolist() == [0, 1, 2]
     assert result.status is fgrecon.Status.DEGENERATE
     with pytest.raises(DegenerateProblemError, match="2 usable points"):
         attempt(with_rows(slice(2, None), NAN))

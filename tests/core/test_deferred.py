@@ -4,7 +4,7 @@ import copy
 import pickle
 
 from fgrecon.core.deferred import Deferred
-from fgrecon.core.plain import plain
+from fgrecon.core.serialise import plain
 
 
 def test_items_are_made_once_and_only_when_looked_at():

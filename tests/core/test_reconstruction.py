@@ -12,7 +12,18 @@ from hypothesis.extra.numpy import arrays
 
 from fgrecon.core.deferred import Deferred
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
+from fgrecon.core.reconstruction import (
+    Alternative,
+    Diagnostics,
+    GraphFactor,
+    Iteration,
+    Pose,
+    Reconstruction,
+    Shape,
+    Status,
+    Uncertainty,
+    rotation_y,
+)
 from tests.cars import yaw_pose
 
 
@@ -35,32 +46,43 @@ def made_up(rng, coefficients=5, history=2):
     return Reconstruction(
         status=Status.AMBIGUOUS,
         message="Why not — ümlauts, too.",
-        category="quad",
-        prior="made up",
-        keypoint_names=("a", "b", "c", "d"),
-        camera_T_object=yaw_pose(0.4),
-        coefficients=rng.normal(size=coefficients),
-        offsets=np.zeros((4, 3)),
-        wireframe=rng.normal(size=(4, 3)),
-        wireframe_uv=rng.normal(size=(4, 2)) * 1e-300,
-        edges=np.array([[0, 1], [1, 2]]),
-        box_size=rng.random(3),
-        weights=np.array([0.0, 1.0, 1e-12, 1 / 3]),
-        sigmas=np.array([np.inf, 1.0, 2.0, 3.0]),
-        visibility=rng.random(4),
-        pose_covariance=rng.normal(size=(6, 6)),
-        coefficients_covariance=rng.normal(size=(coefficients, coefficients)),
-        keypoint_covariance=None,
-        energies={"reprojection": 0.1 + 0.2},
-        alternatives=(Alternative(yaw_pose(1.0), rng.normal(size=coefficients), float("nan")),),
-        history=tuple(iteration(i) for i in range(history)),
-        milliseconds={"pose": 1.5},
-        surface_vertices=rng.normal(size=(3, 3)),
-        surface_faces=np.array([[0, 1, 2]]),
-        faces={"roof": (0, 1, 3, 2)},
-        symmetric_pairs=np.array([[0, 1]]),
-        graph=(GraphFactor("reprojection", "a", ("X(v=0,t=0)", "L(v=0)")), GraphFactor("box", "", ("X(v=0,t=0)",))),
+        pose=Pose(
+            camera_T_object=yaw_pose(0.4),
+            wireframe_uv=rng.normal(size=(4, 2)) * 1e-300,
+        ),
+        shape=Shape(
+            category="quad",
+            prior="made up",
+            keypoint_names=("a", "b", "c", "d"),
+            coefficients=rng.normal(size=coefficients),
+            offsets=np.zeros((4, 3)),
+            wireframe=rng.normal(size=(4, 3)),
+            edges=np.array([[0, 1], [1, 2]]),
+            box_size=rng.random(3),
+            surface_vertices=rng.normal(size=(3, 3)),
+            surface_faces=np.array([[0, 1, 2]]),
+            faces={"roof": (0, 1, 3, 2)},
+            symmetric_pairs=np.array([[0, 1]]),
+        ),
+        uncertainty=Uncertainty(
+            pose_covariance=rng.normal(size=(6, 6)),
+            coefficients_covariance=rng.normal(size=(coefficients, coefficients)),
+            keypoint_covariance=None,
+            alternatives=(Alternative(yaw_pose(1.0), rng.normal(size=coefficients), float("nan")),),
+        ),
+        diagnostics=Diagnostics(
+            weights=np.array([0.0, 1.0, 1e-12, 1 / 3]),
+            sigmas=np.array([np.inf, 1.0, 2.0, 3.0]),
+            visibility=rng.random(4),
+            energies={"reprojection": 0.1 + 0.2},
+            history=tuple(iteration(i) for i in range(history)),
+            milliseconds={"pose": 1.5},
+            graph=(GraphFactor("reprojection", "a", ("X(v=0,t=0)", "L(v=0)")), GraphFactor("box", "", ("X(v=0,t=0)",))),
+        ),
     )
+
+
+GROUPS = (Diagnostics, Pose, Shape, Uncertainty)
 
 
 def assert_same(a, b):
@@ -81,7 +103,7 @@ def assert_same(a, b):
         assert list(a) == list(b)
         for key in a:
             assert_same(a[key], b[key])
-    elif isinstance(a, Alternative | GraphFactor | Iteration | Reconstruction):
+    elif isinstance(a, (*GROUPS, Alternative, GraphFactor, Iteration, Reconstruction)):
         assert_same(dict(vars(a)), dict(vars(b)))
     else:
         assert a == b
@@ -101,13 +123,13 @@ def test_round_trip(coefficients, history):
 @settings(deadline=None, derandomize=True, max_examples=50)
 def test_every_float_survives(pixels):
     result = made_up(np.random.default_rng(0), 2, 0)
-    object.__setattr__(result, "wireframe_uv", pixels)
-    assert through_json(result).wireframe_uv.tobytes() == pixels.tobytes()
+    object.__setattr__(result.pose, "wireframe_uv", pixels)
+    assert through_json(result).pose.wireframe_uv.tobytes() == pixels.tobytes()
 
 
 def test_numpy_scalars_become_plain_numbers():
     result = made_up(np.random.default_rng(0))
-    object.__setattr__(result, "energies", {"box": np.float64(0.5), "count": np.int64(3)})
+    object.__setattr__(result.diagnostics, "energies", {"box": np.float64(0.5), "count": np.int64(3)})
     assert json.dumps(result.to_dict()["energies"]) == '{"box": 0.5, "count": 3}'
 
 
@@ -163,8 +185,8 @@ def test_fields_that_do_not_fit_or_are_malformed_are_refused(name, value):
 @pytest.mark.parametrize("yaw", np.radians([-179, -90, -1, 0, 45, 90, 135, 180]))
 def test_pose_and_yaw(yaw):
     result = made_up(np.random.default_rng(0))
-    object.__setattr__(result, "camera_T_object", yaw_pose(yaw))
+    object.__setattr__(result.pose, "camera_T_object", yaw_pose(yaw))
     assert result.rotation_y == pytest.approx(yaw)
     assert rotation_y(yaw_pose(yaw)[:3, :3]) == pytest.approx(yaw)
     np.testing.assert_array_equal(result.location, yaw_pose(yaw)[:3, 3])
-    assert result.pose.equals(gtsam.Pose3(gtsam.Rot3.Ry(yaw), result.location), 1e-12)
+    assert result.pose.gtsam.equals(gtsam.Pose3(gtsam.Rot3.Ry(yaw), result.location), 1e-12)

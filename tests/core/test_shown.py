@@ -3,7 +3,6 @@
 import importlib.metadata
 import io
 import sys
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,6 +20,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.export.table import csv_text, parquet_bytes
 from tests.core.test_reconstruction import made_up
+from tests.results import changed
 
 
 def made_up_track():
@@ -43,7 +43,7 @@ def test_a_result_is_told_in_a_few_lines():
 
 
 def test_a_result_of_an_image_has_no_time_of_its_own():
-    assert repr(replace(made_up(np.random.default_rng(0)), milliseconds={})).endswith("trusted, prior made up")
+    assert repr(changed(made_up(np.random.default_rng(0)), milliseconds={})).endswith("trusted, prior made up")
 
 
 @pytest.mark.parametrize(("count", "told"), [(0, "0 boxes"), (1, "1 box"), (2, "2 boxes")])
@@ -54,7 +54,7 @@ def test_one_thing_is_no_things(count, told):
 
 def test_a_result_without_a_pose_is_told_as_well():
     result = made_up(np.random.default_rng(0))
-    object.__setattr__(result, "camera_T_object", np.full((4, 4), np.nan))
+    object.__setattr__(result.pose, "camera_T_object", np.full((4, 4), np.nan))
     assert len(repr(result).splitlines()) == 2
 
 
@@ -68,7 +68,14 @@ def test_a_track_is_told_in_a_few_lines():
 def test_data_with_large_arrays_is_told_in_a_line():
     prior, result, track = load_prior("car14"), made_up(np.random.default_rng(0)), made_up_track()
     seen = Observation(np.zeros((14, 2)), np.ones(14), np.array([1.0, 2.0, 30.0, 40.5]))
-    for value in (prior, prior.category, prior.surface, result.history[0], result.alternatives[0], track.history[0]):
+    for value in (
+        prior,
+        prior.category,
+        prior.surface,
+        result.diagnostics.history[0],
+        result.uncertainty.alternatives[0],
+        track.history[0],
+    ):
         assert len(repr(value)) < 800
         assert "\n" not in repr(value)
         assert repr(value).startswith(type(value).__name__ + "(")
@@ -88,7 +95,7 @@ def test_a_track_has_a_row_for_each_image():
     track = made_up_track()
     table = track.to_arrow()
     assert table.column("id").to_pylist() == ["0", "2"]
-    np.testing.assert_array_equal(table.column("weights")[1].as_py(), track.frames[1].weights)
+    np.testing.assert_array_equal(table.column("weights")[1].as_py(), track.frames[1].diagnostics.weights)
 
 
 def test_tables_of_pandas():

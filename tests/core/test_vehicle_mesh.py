@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import hausdorff_distance
 from fgrecon.core.vehicle_mesh import VehicleMesh, closest_model, model_distances
+from tests.results import changed
 from tests.viz.made_up import Example, make_example
 
 SQUARE = np.array([[0, 0, 0], [2, 0, 0], [2, 0, 2], [0, 0, 2]], dtype=np.float64)
@@ -60,7 +59,10 @@ def test_the_closest_of_moved_results(example) -> None:
     points = [result.wireframe + np.array([0.0, moved, 0.0]) for moved in (0.3, 0.05, -0.1)]
     models = [
         VehicleMesh(
-            name, result.surface_vertices, result.surface_faces, dict(zip(result.keypoint_names, p, strict=True))
+            name,
+            result.shape.surface_vertices,
+            result.shape.surface_faces,
+            dict(zip(result.shape.keypoint_names, p, strict=True)),
         )
         for name, p in zip("abc", points, strict=True)
     ]
@@ -75,7 +77,7 @@ def test_the_closest_of_moved_results(example) -> None:
 
 
 def test_what_cannot_be_compared_is_refused(example) -> None:
-    result = replace(example.reconstruction, surface_vertices=None, surface_faces=None)
+    result = changed(example.reconstruction, surface_vertices=None, surface_faces=None)
     with pytest.raises(InvalidInputError, match="no keypoints"):
         closest_model(result, [model("bare", 0.0, keypoints=False)])
     with pytest.raises(InvalidInputError, match="models"):

@@ -15,6 +15,7 @@ from fgrecon.core.reconstruction import Status
 from fgrecon.io.export import FORMATS, NamedResult, export, read_results
 from fgrecon.io.export.formats import export_rows
 from fgrecon_research.io.kitti_sets import parse_objects
+from tests.results import changed
 from tests.viz.made_up import make_example
 
 
@@ -32,7 +33,7 @@ def cars():
 @pytest.fixture(scope="module")
 def refused(cars):
     """A result without a pose."""
-    result = replace(cars[0].result, status=Status.FAILED, camera_T_object=np.full((4, 4), np.nan))
+    result = changed(cars[0].result, status=Status.FAILED, camera_T_object=np.full((4, 4), np.nan))
     return NamedResult("refused", result)
 
 
@@ -45,7 +46,7 @@ def test_ply_has_every_surface_in_the_camera_frame(cars, refused, tmp_path):
 
     mesh = trimesh.load(export(tmp_path / "cars.ply", [*cars, refused]), process=False)
     for car in cars:
-        expected = in_camera(car.result, car.result.surface_vertices)
+        expected = in_camera(car.result, car.result.shape.surface_vertices)
         start = np.flatnonzero(np.abs(mesh.vertices - expected[0]).max(axis=1) < 1e-5)[0]
         np.testing.assert_allclose(mesh.vertices[start : start + len(expected)], expected, atol=1e-5)
         for point in in_camera(car.result, car.result.wireframe):  # a ball lies around every keypoint
@@ -63,7 +64,7 @@ def test_glb_has_named_nodes_that_stand_upright(cars, tmp_path):
     result = cars[0].result
     turned = scene.graph.get("near/surface")[0]
     drawn = trimesh.transform_points(scene.geometry["near/surface"].vertices, turned)
-    expected = in_camera(result, result.surface_vertices) * (1, -1, -1)
+    expected = in_camera(result, result.shape.surface_vertices) * (1, -1, -1)
     np.testing.assert_allclose(sorted(drawn[:, 1]), sorted(expected[:, 1]), atol=1e-5)
 
 
@@ -82,9 +83,9 @@ def test_csv_numbers_read_back_to_the_last_bit(cars, refused, tmp_path):
         result = car.result
         assert float(row["rotation_y"]) == result.rotation_y
         assert [float(row[axis]) for axis in "xyz"] == result.location.tolist()
-        assert float(row["lambda_2"]) == result.coefficients[1]
-        assert float(row["left_front_roof_v"]) == result.wireframe_uv[10, 1]
-        assert float(row["right_back_wheel_weight"]) == result.weights[3]
+        assert float(row["lambda_2"]) == result.shape.coefficients[1]
+        assert float(row["left_front_roof_v"]) == result.pose.wireframe_uv[10, 1]
+        assert float(row["right_back_wheel_weight"]) == result.diagnostics.weights[3]
         assert float(row["sigma_translation"]) == pytest.approx(np.sqrt(1e-3))
     assert np.isnan(float(rows[2]["x"]))
     assert rows[2]["status"] == "failed"
@@ -99,7 +100,7 @@ def test_csv_ids_with_any_line_end_are_one_cell(cars, tmp_path):
 
 
 def test_csv_of_different_priors_is_refused(cars, tmp_path):
-    other = NamedResult("other", replace(cars[1].result, coefficients=np.zeros(3)))
+    other = NamedResult("other", changed(cars[1].result, coefficients=np.zeros(3)))
     with pytest.raises(InvalidInputError, match="different priors"):
         export(tmp_path / "mixed.csv", [cars[0], other])
     assert not list(tmp_path.iterdir())
@@ -108,12 +109,12 @@ def test_csv_of_different_priors_is_refused(cars, tmp_path):
 def test_parquet_has_arrays_as_lists(cars, tmp_path):
     import pyarrow.parquet as pq
 
-    undetermined = NamedResult("undetermined", replace(cars[1].result, pose_covariance=None))
+    undetermined = NamedResult("undetermined", changed(cars[1].result, pose_covariance=None))
     rows = pq.read_table(export(tmp_path / "cars.parquet", [*cars, undetermined])).to_pylist()
     for row, car in zip(rows, cars, strict=False):
         assert row["camera_T_object"] == car.result.camera_T_object.ravel().tolist()
         assert np.array_equal(np.reshape(row["wireframe"], (-1, 3)), car.result.wireframe)
-        assert row["keypoints"] == list(car.result.keypoint_names)
+        assert row["keypoints"] == list(car.result.shape.keypoint_names)
     assert rows[2]["sigma_rotation"] is None
 
 
@@ -136,7 +137,7 @@ def test_kitti_lines_are_in_the_label_frame(cars, refused, tmp_path):
     np.testing.assert_allclose(objects.location[0], near.location - cars[0].label_offset, atol=1e-4)
     np.testing.assert_allclose(objects.location[1], far.location, atol=1e-4)
     np.testing.assert_allclose(objects.box[0], cars[0].box, atol=1e-2)
-    np.testing.assert_allclose(objects.box[1][:2], far.wireframe_uv.min(axis=0), atol=1e-2)
+    np.testing.assert_allclose(objects.box[1][:2], far.pose.wireframe_uv.min(axis=0), atol=1e-2)
     np.testing.assert_allclose(objects.size, [near.box_size, far.box_size], atol=1e-4)
     np.testing.assert_allclose(objects.rotation_y, [near.rotation_y, far.rotation_y], atol=1e-4)
     x, _, z = objects.location.T

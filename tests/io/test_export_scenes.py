@@ -22,6 +22,7 @@ from fgrecon.io.export.image_info import box_in, score
 from fgrecon.io.export.mcap import pose_covariance
 from fgrecon.io.images import write_png
 from fgrecon.simulation import yaw_pose
+from tests.results import changed
 from tests.viz.made_up import make_example
 
 WORLD = np.array([[0.0, 0.0, 1.0, 5.0], [-1.0, 0.0, 0.0, -3.0], [0.0, -1.0, 0.0, 1.65], [0.0, 0.0, 0.0, 1.0]])
@@ -104,8 +105,8 @@ def test_coco(cars, images, tmp_path):
     assert [entry["image_id"] for entry in entries] == [17, 17, 18]
     first, result = entries[0], cars[0].result
     points = np.reshape(first["keypoints"], (-1, 3))
-    np.testing.assert_array_equal(points[:, :2], result.wireframe_uv)
-    np.testing.assert_array_equal(points[:, 2], np.where(result.visibility >= 0.5, 2, 1))
+    np.testing.assert_array_equal(points[:, :2], result.pose.wireframe_uv)
+    np.testing.assert_array_equal(points[:, 2], np.where(result.diagnostics.visibility >= 0.5, 2, 1))
     x, y, width, height = first["bbox"]
     np.testing.assert_allclose([x, y, x + width, y + height], cars[0].box)
     corners = np.array(first["cuboid"]["corners"])
@@ -151,7 +152,7 @@ def test_foxglove(cars, images, tmp_path):
     assert list(near["cubes"][0]["size"].values()) == cars[0].result.box_size.tolist()
     points = np.array([list(point.values()) for point in near["lines"][0]["points"]]).reshape(-1, 2, 3)
     pose = WORLD @ cars[0].result.camera_T_object
-    edge = cars[0].result.wireframe[cars[0].result.edges[3]] @ pose[:3, :3].T + pose[:3, 3]
+    edge = cars[0].result.wireframe[cars[0].result.shape.edges[3]] @ pose[:3, :3].T + pose[:3, 3]
     np.testing.assert_allclose(points[3], edge)
 
 
@@ -182,7 +183,7 @@ def test_ros_2(cars, tmp_path):
     size = detection.bbox.size
     assert [size.x, size.y, size.z] == result.box_size.tolist()
     place = other.pose.pose.position
-    wanted, _ = box_in(ImageInfo(), result.alternatives[0].camera_T_object, result.box_size)
+    wanted, _ = box_in(ImageInfo(), result.uncertainty.alternatives[0].camera_T_object, result.box_size)
     np.testing.assert_allclose([place.x, place.y, place.z], wanted)
 
 
@@ -191,7 +192,7 @@ def test_the_covariance_is_that_of_centre_and_fixed_axes(cars, placed):
     """By differences: the centre and the turn of the box, as the pose moves along each of GTSAM's directions."""
     rng = np.random.default_rng(0)
     root = rng.normal(size=(6, 6))
-    item = replace(cars[0], result=replace(cars[0].result, pose_covariance=root @ root.T))
+    item = replace(cars[0], result=changed(cars[0].result, pose_covariance=root @ root.T))
     info = ImageInfo(world_T_camera=WORLD if placed else None)
     pose, size, step = gtsam.Pose3(item.result.camera_T_object), item.result.box_size, 1e-6
     centre, axes = box_in(info, pose.matrix(), size)
@@ -201,7 +202,7 @@ def test_the_covariance_is_that_of_centre_and_fixed_axes(cars, placed):
         turn = gtsam.Rot3.Logmap(gtsam.Rot3(turned @ axes.T))
         columns.append(np.concatenate([moved - centre, turn]) / step)
     jacobian = np.array(columns).T
-    wanted = jacobian @ item.result.pose_covariance @ jacobian.T
+    wanted = jacobian @ item.result.uncertainty.pose_covariance @ jacobian.T
     np.testing.assert_allclose(pose_covariance(item, info), wanted, atol=1e-4)
 
 

@@ -2,7 +2,6 @@
 
 import io
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from fgrecon.core.camera import Ground
 from fgrecon.io.export import ImageInfo, NamedResult, export, read_results
 from fgrecon.io.export.upright import map_T_camera
 from fgrecon.simulation import yaw_pose
+from tests.results import changed
 from tests.viz.made_up import make_example
 
 PITCHED = Ground(np.array([0.02, np.cos(0.2), np.sin(0.2)]), 1.65)
@@ -26,7 +26,7 @@ def parked(ground):
     standing[:3, :3] = ground.upright
     level = yaw_pose(0.7, np.array([1.0, 0.0, 12.0]))
     level[1, 3] = ground.distance
-    result = replace(make_example(0).reconstruction, camera_T_object=standing @ level)
+    result = changed(make_example(0).reconstruction, camera_T_object=standing @ level)
     return NamedResult("a", result, None, image="a", ground=ground)
 
 
@@ -74,7 +74,7 @@ def test_the_world_of_a_run_is_that_of_its_first_camera(tmp_path):
     """A camera that drives on: the same car, the same place in the root frame."""
     car, on = parked(PITCHED), np.eye(4)
     on[:3, 3] = PITCHED.upright @ [0.0, 0.0, 2.0]
-    later = replace(car.result, camera_T_object=np.linalg.inv(on) @ car.result.camera_T_object)
+    later = changed(car.result, camera_T_object=np.linalg.inv(on) @ car.result.camera_T_object)
     lost = NamedResult("c", car.result, image="c", ground=PITCHED)
     cars = [car, NamedResult("b", later, image="b", ground=PITCHED), lost]
     images = {

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
-from fgrecon.core.digits import DECIMALS, SIGNIFICANT
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.result_fields import FIELDS
+from fgrecon.core.rounding import DECIMALS, SIGNIFICANT
 from fgrecon.io.catalogue import load_prior, save_prior
 from fgrecon.io.export import read_results
 from tests.cli.conftest import K, car
 from tests.core.test_reconstruction import assert_same, made_up
+from tests.results import value_of
 from tests.viz.made_up import make_example
 
 KILOBYTES = 6.0
@@ -45,26 +47,31 @@ def test_the_compact_form_keeps_the_digits_that_it_promises():
     back = through_json(result, compact=True)
     for name, digits in DECIMALS.items():
         if name != "milliseconds":
-            away = np.abs(getattr(back, name) - getattr(result, name))
+            away = np.abs(value_of(back, name) - value_of(result, name))
             assert away.max() <= 0.5000001 * 10.0**-digits, name
     for name, digits in SIGNIFICANT.items():
         if name.endswith("covariance"):
-            np.testing.assert_allclose(getattr(back, name), getattr(result, name), rtol=0.5 * 10.0 ** (1 - digits))
-    assert (back.history, back.graph, back.surface_vertices, back.surface_faces) == ((), (), None, None)
-    told = [f.name for f in fields(result) if f.name not in (*DECIMALS, *SIGNIFICANT, *EXACT, "alternatives")]
+            np.testing.assert_allclose(value_of(back, name), value_of(result, name), rtol=0.5 * 10.0 ** (1 - digits))
+    assert (
+        back.diagnostics.history,
+        back.diagnostics.graph,
+        back.shape.surface_vertices,
+        back.shape.surface_faces,
+    ) == ((), (), None, None)
+    told = [name for name in FIELDS if name not in (*DECIMALS, *SIGNIFICANT, *EXACT, "alternatives")]
     for name in told:
-        assert_same(getattr(back, name), getattr(result, name))
+        assert_same(value_of(back, name), value_of(result, name))
 
 
 @pytest.mark.parametrize("coefficients", [0, 1, 5])
 def test_odd_numbers_survive_the_compact_form_as_well(coefficients):
     result = made_up(np.random.default_rng(1), coefficients)
     back = through_json(result, compact=True, history=True)
-    assert back.sigmas[0] == np.inf
-    assert np.isnan(back.alternatives[0].excess)
-    assert back.alternatives[0].coefficients.shape == (coefficients,)
-    assert_same(back.history, result.history)
-    assert_same(back.graph, result.graph)
+    assert back.diagnostics.sigmas[0] == np.inf
+    assert np.isnan(back.uncertainty.alternatives[0].excess)
+    assert back.uncertainty.alternatives[0].coefficients.shape == (coefficients,)
+    assert_same(back.diagnostics.history, result.diagnostics.history)
+    assert_same(back.diagnostics.graph, result.diagnostics.graph)
     assert_same(through_json(back, compact=True, history=True), back)  # cut once, cut for good
 
 
@@ -77,10 +84,10 @@ def test_a_car_takes_a_few_kilobytes(cars, tmp_path):
     assert (written["format"], written["schema_version"]) == ("fgrecon.reconstructions/2", 2)
     small, whole = read_results(tmp_path / "small.json"), read_results(tmp_path / "whole.json")
     for quick, slow in zip(small, whole, strict=True):
-        assert quick.result.history == ()
-        assert quick.result.graph == ()
-        assert len(slow.result.history) > 3
-        assert slow.result.graph
+        assert quick.result.diagnostics.history == ()
+        assert quick.result.diagnostics.graph == ()
+        assert len(slow.result.diagnostics.history) > 3
+        assert slow.result.diagnostics.graph
         assert quick.result.camera_T_object.tobytes() == slow.result.camera_T_object.tobytes()
 
 
@@ -88,9 +95,11 @@ def test_tracks_keep_their_history_on_request(content, tmp_path):
     (file := tmp_path / "made-up.json").write_text(json.dumps(content), encoding="utf-8")
     run("track", file, "--size-prior", "kitti", "--json", tmp_path / "whole.json", "--history")
     run("track", file, "--size-prior", "kitti", "--json", tmp_path / "small.json")
-    assert all(found.result.history for found in read_results(tmp_path / "whole.json"))
+    assert all(found.result.diagnostics.history for found in read_results(tmp_path / "whole.json"))
     small = read_results(tmp_path / "small.json")
-    assert all(found.result.history == () and found.result.surface_vertices is not None for found in small)
+    assert all(
+        found.result.diagnostics.history == () and found.result.shape.surface_vertices is not None for found in small
+    )
     assert (tmp_path / "small.json").stat().st_size < len(small) * KILOBYTES * 1024
 
 
@@ -104,22 +113,24 @@ def test_surfaces_are_made_again_from_prior_size_and_coefficients(cars, tmp_path
     pixels, confidence = np.array(seen["keypoints"]), np.array(seen["confidence"])
     solved = fgrecon.reconstruct(pixels, K, confidence=confidence, box=seen["box"], size_prior=size)
     found = read_results(tmp_path / "r.json")[1].result
-    np.testing.assert_allclose(found.surface_vertices, solved.surface_vertices, atol=1e-7)
-    assert np.array_equal(found.surface_faces, solved.surface_faces)
+    np.testing.assert_allclose(found.shape.surface_vertices, solved.shape.surface_vertices, atol=1e-7)
+    assert np.array_equal(found.shape.surface_faces, solved.shape.surface_faces)
     np.testing.assert_allclose(found.camera_T_object, solved.camera_T_object, atol=1e-9)
 
 
 def test_a_prior_of_ones_own_is_found_by_its_file_and_missed_without(cars, tmp_path):
     own = save_prior(replace(load_prior("car14").truncated(2), name="mine"), tmp_path / "mine.npz")
     run("reconstruct", cars, "--prior", own, "--json", tmp_path / "r.json")
-    assert read_results(tmp_path / "r.json")[0].result.surface_vertices is not None
+    assert read_results(tmp_path / "r.json")[0].result.shape.surface_vertices is not None
     moved = own.rename(tmp_path / "moved.npz")
     found = read_results(tmp_path / "r.json")[0].result
-    assert (found.prior, found.surface_vertices) == ("mine", None)
-    assert read_results(tmp_path / "r.json", moved)[0].result.surface_vertices is not None
+    assert (found.shape.prior, found.shape.surface_vertices) == ("mine", None)
+    assert read_results(tmp_path / "r.json", moved)[0].result.shape.surface_vertices is not None
     run("export", tmp_path / "r.json", tmp_path / "r.glb", "--prior", moved)
     other = load_prior("car14").scaled(1.1).truncated(2)
-    assert read_results(tmp_path / "r.json", other)[0].result.surface_vertices is None, "not the prior of the file"
+    assert read_results(tmp_path / "r.json", other)[0].result.shape.surface_vertices is None, (
+        "not the prior of the file"
+    )
     with pytest.raises(InvalidInputError, match="prior"):
         read_results(tmp_path / "r.json", tmp_path / "none.npz")
 

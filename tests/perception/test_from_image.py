@@ -82,15 +82,17 @@ def test_the_direction_decides_between_poses_that_explain_the_keypoints_alike(tu
         told = replace(seen, azimuth=seen_from(azimuth_of(pose)))
         result = reconstruct_detection(told, CAMERA, options=FAST)
         assert orientation_error([result.rotation_y], [rotation_y(pose)])[0] < 30.0
-        assert result.energies["direction"] < 0.7
-        assert result.energies["direction"] == pytest.approx(direction_penalty(told, result.camera_T_object))
+        assert result.diagnostics.energies["direction"] < 0.7
+        assert result.diagnostics.energies["direction"] == pytest.approx(
+            direction_penalty(told, result.camera_T_object)
+        )
     off = replace(FAST, disabled_terms=[*FAST.disabled_terms, "direction"])
     ends = [
         reconstruct_detection(replace(seen, azimuth=seen_from(azimuth_of(pose))), CAMERA, options=off)
         for pose in (ahead, behind)
     ]
     np.testing.assert_array_equal(ends[0].camera_T_object, ends[1].camera_T_object)
-    assert "direction" not in ends[0].energies
+    assert "direction" not in ends[0].diagnostics.energies
 
 
 def test_in_a_track_the_directions_of_all_images_count():

@@ -93,7 +93,9 @@ def test_without_a_camera_its_focal_length_is_found_and_said_so(seen):
         (car,) = solve(Own(seen), [seen.box], camera=None)
     assert caught[0].filename == __file__
     assert 0.0 < car.camera.focal_sigma <= 0.5
-    np.testing.assert_allclose(car.camera.project(car.result.location), car.result.wireframe_uv.mean(axis=0), atol=80)
+    np.testing.assert_allclose(
+        car.camera.project(car.result.location), car.result.pose.wireframe_uv.mean(axis=0), atol=80
+    )
 
 
 def test_the_focal_length_of_the_file_is_taken(seen, tmp_path):

@@ -55,13 +55,13 @@ def test_a_car_is_the_same(name, monkeypatch):
         assert compiled.status is plain.status
         np.testing.assert_allclose(compiled.camera_T_object, plain.camera_T_object, atol=1e-9)
         np.testing.assert_allclose(compiled.wireframe, plain.wireframe, atol=1e-9)
-        np.testing.assert_allclose(compiled.weights, plain.weights, atol=1e-8)
-        np.testing.assert_allclose(compiled.visibility, plain.visibility, atol=1e-8)
-        np.testing.assert_allclose(compiled.pose_covariance, plain.pose_covariance, rtol=1e-5)
-        assert compiled.energies == pytest.approx(plain.energies, abs=1e-7)
-        assert len(compiled.alternatives) == len(plain.alternatives)
-        assert len(compiled.history) == len(plain.history)
-        assert compiled.graph == plain.graph
+        np.testing.assert_allclose(compiled.diagnostics.weights, plain.diagnostics.weights, atol=1e-8)
+        np.testing.assert_allclose(compiled.diagnostics.visibility, plain.diagnostics.visibility, atol=1e-8)
+        np.testing.assert_allclose(compiled.uncertainty.pose_covariance, plain.uncertainty.pose_covariance, rtol=1e-5)
+        assert compiled.diagnostics.energies == pytest.approx(plain.diagnostics.energies, abs=1e-7)
+        assert len(compiled.uncertainty.alternatives) == len(plain.uncertainty.alternatives)
+        assert len(compiled.diagnostics.history) == len(plain.diagnostics.history)
+        assert compiled.diagnostics.graph == plain.diagnostics.graph
 
 
 def test_a_track_is_the_same(monkeypatch):

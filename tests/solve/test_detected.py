@@ -128,8 +128,10 @@ def test_of_a_fleet_that_nobody_told_are_those_without_a_box():
         found.append(dict(zip(order, scene.vehicles, strict=True)))
     for i in range(3):
         np.testing.assert_allclose(found[0][i].camera_T_object, found[1][i].camera_T_object, atol=1e-3)
-        np.testing.assert_allclose(found[0][i].size_covariance, found[1][i].size_covariance, rtol=1e-2, atol=1e-6)
-    assert np.trace(found[0][0].size_covariance) < 0.5 * np.trace(found[0][1].size_covariance)
+        np.testing.assert_allclose(
+            found[0][i].uncertainty.size_covariance, found[1][i].uncertainty.size_covariance, rtol=1e-2, atol=1e-6
+        )
+    assert np.trace(found[0][0].uncertainty.size_covariance) < 0.5 * np.trace(found[0][1].uncertainty.size_covariance)
 
 
 def test_the_size_is_the_boxes_own_as_far_as_that_is_known():
@@ -141,7 +143,7 @@ def test_the_size_is_the_boxes_own_as_far_as_that_is_known():
     given = Box3D(pose[:3, 3], 0.4, 1.04 * size)
     (vehicle,) = reconstruct_scene([seen], CAMERA, size_prior="kitti", boxes=[given], options=OPTIONS).vehicles
     assert vehicle.box_size == pytest.approx(size, rel=0.06)
-    assert (np.sqrt(np.diag(vehicle.size_covariance)) < 0.06 * size).all()
+    assert (np.sqrt(np.diag(vehicle.uncertainty.size_covariance)) < 0.06 * size).all()
 
 
 def test_a_model_of_a_size_is_the_prepared_one_but_for_what_hides_what():
@@ -196,6 +198,8 @@ def test_what_says_nothing_or_the_contrary_leaves_a_box_as_it_is():
 def test_regions_rest_on_what_the_keypoints_brought_with_them():
     _, seen, boxes = street(0, count=1)
     plain = reconstruct_scene(seen, CAMERA, boxes=boxes, options=OPTIONS).vehicles[0]
-    assert plain.regions is Regions.ASSUMED
+    assert plain.uncertainty.regions is Regions.ASSUMED
     told = [replace(one, covariance=np.tile(4.0 * np.eye(2), (14, 1, 1))) for one in seen]
-    assert reconstruct_scene(told, CAMERA, boxes=boxes, options=OPTIONS).vehicles[0].regions is Regions.SHIPPED
+    assert (
+        reconstruct_scene(told, CAMERA, boxes=boxes, options=OPTIONS).vehicles[0].uncertainty.regions is Regions.SHIPPED
+    )

@@ -101,36 +101,36 @@ def test_the_result_is_the_minimum_with_them(sigma):
 def test_they_shrink_the_covariances(seen):
     """A prior centred at the result adds its information to the pose's or to lambda's, and moves nothing."""
     plain = reconstruct(seen, CAMERA, ground=1.65)
-    information = np.linalg.inv(plain.pose_covariance)
-    on_pose = gtsam.PriorFactorPose3(X(0, 0), plain.pose, isotropic(6, 0.01))
+    information = np.linalg.inv(plain.uncertainty.pose_covariance)
+    on_pose = gtsam.PriorFactorPose3(X(0, 0), plain.pose.gtsam, isotropic(6, 0.01))
     tied = reconstruct(seen, CAMERA, ground=1.65, extra_factors=[on_pose])
     np.testing.assert_allclose(tied.camera_T_object, plain.camera_T_object, atol=1e-4)
     expected = np.linalg.inv(information + np.eye(6) / 0.01**2)
-    np.testing.assert_allclose(tied.pose_covariance, expected, atol=1e-3 * expected.max())
-    assert np.linalg.eigvalsh(tied.pose_covariance).max() <= 0.01**2 * (1 + 1e-6)
-    on_shape = prior_on_lambda(plain.coefficients, 0.1)
+    np.testing.assert_allclose(tied.uncertainty.pose_covariance, expected, atol=1e-3 * expected.max())
+    assert np.linalg.eigvalsh(tied.uncertainty.pose_covariance).max() <= 0.01**2 * (1 + 1e-6)
+    on_shape = prior_on_lambda(plain.shape.coefficients, 0.1)
     tied = reconstruct(seen, CAMERA, ground=1.65, extra_factors=[on_shape])
-    information = np.linalg.inv(plain.coefficients_covariance)
+    information = np.linalg.inv(plain.uncertainty.coefficients_covariance)
     expected = np.linalg.inv(information + np.eye(5) / 0.1**2)
-    np.testing.assert_allclose(tied.coefficients_covariance, expected, atol=1e-3 * expected.max())
+    np.testing.assert_allclose(tied.uncertainty.coefficients_covariance, expected, atol=1e-3 * expected.max())
 
 
 def test_they_are_told(seen):
     factor = distance(13.0, 0.2)
     result = reconstruct(seen, CAMERA, extra_factors=[factor])
     away = np.linalg.norm(result.location) - 13.0
-    assert result.energies["extra"] == pytest.approx(0.5 * (away / 0.2) ** 2, rel=1e-6)
-    for step in result.history:
+    assert result.diagnostics.energies["extra"] == pytest.approx(0.5 * (away / 0.2) ** 2, rel=1e-6)
+    for step in result.diagnostics.history:
         if step.stage == "joint":
             off = np.linalg.norm(step.camera_T_object[:3, 3]) - 13.0
             assert step.energies["extra"] == pytest.approx(0.5 * (off / 0.2) ** 2, rel=1e-6, abs=1e-12)
         else:
             assert "extra" not in step.energies
-    (told,) = [factor for factor in result.graph if factor.term == "extra"]
+    (told,) = [factor for factor in result.diagnostics.graph if factor.term == "extra"]
     assert told.variables == ("X(v=0,t=0)",)
     plain = reconstruct(seen, CAMERA)
-    assert "extra" not in plain.energies
-    assert "extra" not in {factor.term for factor in plain.graph}
+    assert "extra" not in plain.diagnostics.energies
+    assert "extra" not in {factor.term for factor in plain.diagnostics.graph}
 
 
 def test_they_decide_between_proposals():
@@ -179,7 +179,7 @@ def test_offsets_can_be_meant():
     wanted[7] = 0.05
     factor = gtsam.PriorFactorVector(O(0), wanted, isotropic(42, 1e-4))
     result = reconstruct(seen, CAMERA, options=make_options(free_offsets=True), extra_factors=[factor])
-    np.testing.assert_allclose(result.offsets.ravel(), wanted, atol=1e-3)
+    np.testing.assert_allclose(result.shape.offsets.ravel(), wanted, atol=1e-3)
 
 
 def test_at_a_fixed_pose_only_those_on_the_shape_count(seen):
@@ -187,15 +187,15 @@ def test_at_a_fixed_pose_only_those_on_the_shape_count(seen):
     plain = reconstruct(seen, CAMERA, options=options)
     on_pose = reconstruct(seen, CAMERA, options=options, extra_factors=[distance(30.0, 1e-3)])
     np.testing.assert_array_equal(on_pose.camera_T_object, plain.camera_T_object)
-    np.testing.assert_allclose(on_pose.coefficients, plain.coefficients, atol=1e-9)
-    assert "extra" not in on_pose.energies
-    target = plain.coefficients + 1.0
+    np.testing.assert_allclose(on_pose.shape.coefficients, plain.shape.coefficients, atol=1e-9)
+    assert "extra" not in on_pose.diagnostics.energies
+    target = plain.shape.coefficients + 1.0
     both = reconstruct(
         seen, CAMERA, options=options, extra_factors=[distance(30.0, 1e-3), prior_on_lambda(target, 1e-3)]
     )
     np.testing.assert_array_equal(both.camera_T_object, plain.camera_T_object)
-    np.testing.assert_allclose(both.coefficients, target, atol=1e-3)
-    assert both.energies["extra"] > 0.0
+    np.testing.assert_allclose(both.shape.coefficients, target, atol=1e-3)
+    assert both.diagnostics.energies["extra"] > 0.0
 
 
 def test_a_broken_one_is_named(seen):
@@ -228,7 +228,7 @@ def test_a_track_has_them_by_the_place_in_the_list(drive):
     away = np.linalg.norm(tied.frames[1].location) - wanted
     assert tied.energies["extra"] == pytest.approx(0.5 * (away / 0.01) ** 2, rel=1e-6)
     assert all("extra" in step.energies for step in tied.history)
-    assert all("extra" not in frame.energies for frame in tied.frames)  # it belongs to the whole
+    assert all("extra" not in frame.diagnostics.energies for frame in tied.frames)  # it belongs to the whole
     assert [factor.variables for factor in tied.graph if factor.term == "extra"] == [("X(v=0,t=2)",)]
     with pytest.raises(InvalidInputError, match=r"X\(v=0,t=1\)"):  # an image without the car
         reconstruct_track(seen, CAMERA, extra_factors=[distance(wanted, 0.01, image=1)])
@@ -243,7 +243,7 @@ def test_they_shrink_the_covariances_of_a_track(drive):
     spread = []
     for frame in (*plain.frames, *tied.frames):
         ray = frame.camera_T_object[:3, :3].T @ frame.location / np.linalg.norm(frame.location)
-        spread.append(np.sqrt(ray @ frame.pose_covariance[3:, 3:] @ ray))
+        spread.append(np.sqrt(ray @ frame.uncertainty.pose_covariance[3:, 3:] @ ray))
     assert min(spread[:3]) > 0.1
     assert spread[4] < 0.011
     assert min(spread[3], spread[5]) > 0.05
@@ -260,7 +260,7 @@ def test_odometry_between_the_images_of_a_track(drive):
     plain, tied = (reconstruct_track(seen, CAMERA, extra_factors=extra) for extra in ((), moves))
     misses = []
     for track in (plain, tied):
-        met = [track.frames[i].pose.between(track.frames[i + 1].pose) for i in range(2)]
+        met = [track.frames[i].pose.gtsam.between(track.frames[i + 1].pose.gtsam) for i in range(2)]
         known = [truth[i].between(truth[i + 1]) for i in range(2)]
         misses.append([np.linalg.norm(a.localCoordinates(b)) for a, b in zip(known, met, strict=True)])
     assert min(misses[0]) > 0.05
@@ -272,4 +272,4 @@ def test_the_same_in_a_track_of_one_image(seen):
     alone = fgrecon.reconstruct(seen, CAMERA, extra_factors=[factor])
     track = fgrecon.reconstruct_track([seen], CAMERA, extra_factors=[factor])
     np.testing.assert_allclose(track.frames[0].camera_T_object, alone.camera_T_object, atol=1e-9)
-    assert track.energies == pytest.approx(alone.energies, abs=1e-9)
+    assert track.energies == pytest.approx(alone.diagnostics.energies, abs=1e-9)

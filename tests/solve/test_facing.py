@@ -8,8 +8,8 @@ import pytest
 import fgrecon
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.geometry import view_azimuth
+from fgrecon.core.half_turn import half_a_turn, partners, turned_round
 from fgrecon.core.rows import leanings
-from fgrecon.core.turned import half_a_turn, partners, turned_round
 from fgrecon.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation import HOURGLASS

@@ -75,7 +75,7 @@ def test_the_95_percent_region_holds():
         assert 0.05 < scene.camera.focal_sigma <= 0.5
         for number, car in zip(scene.numbers, scene.vehicles, strict=True):
             off = car.camera_T_object[:3, :3].T @ (car.location - poses[number][:3, 3])
-            squared.append(off @ np.linalg.solve(car.pose_covariance[3:, 3:], off))
+            squared.append(off @ np.linalg.solve(car.uncertainty.pose_covariance[3:, 3:], off))
     assert np.mean(np.array(away) < 1.96) >= 0.9
     assert np.mean(np.array(away) < 1.0) <= 0.95
     assert len(squared) == 40
@@ -94,7 +94,7 @@ def test_a_ground_at_a_known_height_tells_more():
 def test_the_uncertainty_is_in_the_poses():
     seen = near(0, 1)[1]
     known, found = (reconstruct_scene(seen, camera, size_prior="kitti").vehicles[0] for camera in (KNOWN, unknown(0)))
-    assert np.trace(found.pose_covariance[3:, 3:]) > np.trace(known.pose_covariance[3:, 3:])
+    assert np.trace(found.uncertainty.pose_covariance[3:, 3:]) > np.trace(known.uncertainty.pose_covariance[3:, 3:])
 
 
 def test_the_status_says_how_far_the_focal_length_is_known():

@@ -29,12 +29,14 @@ def test_a_car_behind_another():
     behind, before = scene.vehicles
     alone = [fgrecon.reconstruct(one, CAMERA, ground=1.65) for one in seen]
     turned = before.camera_T_object
-    surface = before.surface_vertices @ turned[:3, :3].T + turned[:3, 3]
+    surface = before.shape.surface_vertices @ turned[:3, :3].T + turned[:3, 3]
     ends = behind.wireframe @ behind.camera_T_object[:3, :3].T + behind.camera_T_object[:3, 3]
-    hidden = np.array([meets(end, surface[before.surface_faces]) for end in ends])
+    hidden = np.array([meets(end, surface[before.shape.surface_faces]) for end in ends])
     assert 0 < hidden.sum() < len(hidden)
-    assert (behind.visibility[hidden] < 0.05).all()
-    np.testing.assert_allclose(behind.visibility[~hidden], alone[0].visibility[~hidden], atol=0.1)
-    np.testing.assert_allclose(before.visibility, alone[1].visibility, atol=0.1)
+    assert (behind.diagnostics.visibility[hidden] < 0.05).all()
+    np.testing.assert_allclose(
+        behind.diagnostics.visibility[~hidden], alone[0].diagnostics.visibility[~hidden], atol=0.1
+    )
+    np.testing.assert_allclose(before.diagnostics.visibility, alone[1].diagnostics.visibility, atol=0.1)
     (only,) = with_occlusion([behind])
     assert only is behind

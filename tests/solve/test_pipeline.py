@@ -18,6 +18,7 @@ from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.visibility import clearance, probability
 from tests.cars import CAMERA, MATRIX, observe, rotation_angle, yaw_pose
 from tests.core.test_reconstruction import assert_same
+from tests.results import changed
 from tests.settings import options as make_options
 from tests.solve.conftest import solve
 
@@ -26,7 +27,7 @@ TRACKS = "kitti_tracking_keypoints14/*.json"
 
 def untimed(result):
     """The result without its clock."""
-    return replace(result, milliseconds={})
+    return changed(result, milliseconds={})
 
 
 @pytest.mark.data
@@ -127,15 +128,18 @@ def test_what_the_graph_did_is_told(seen):
     assert result.graph_gain > 0.0
     rewritten = result.to_dict()
     back = Reconstruction.from_dict(json.loads(json.dumps(rewritten)))
-    assert (back.graph_iterations, back.graph_gain) == (result.graph_iterations, result.graph_gain)
+    assert (back.diagnostics.graph_iterations, back.diagnostics.graph_gain) == (
+        result.graph_iterations,
+        result.graph_gain,
+    )
     old = {name: value for name, value in rewritten.items() if not name.startswith("graph_")}
     back = Reconstruction.from_dict(json.loads(json.dumps(old)))
-    assert back.graph_iterations == 0
-    assert np.isnan(back.graph_gain)
-    assert_same(replace(back, graph_iterations=result.graph_iterations, graph_gain=result.graph_gain), result)
+    assert back.diagnostics.graph_iterations == 0
+    assert np.isnan(back.diagnostics.graph_gain)
+    assert_same(changed(back, graph_iterations=result.graph_iterations, graph_gain=result.graph_gain), result)
     paper = solve(seen[0], ground=1.65, options=Options(strategy="paper"))  # whose weights belong to no energy
     assert np.isnan(paper.graph_gain)
-    assert np.isnan(Reconstruction.from_dict(json.loads(json.dumps(paper.to_dict()))).graph_gain)
+    assert np.isnan(Reconstruction.from_dict(json.loads(json.dumps(paper.to_dict()))).diagnostics.graph_gain)
     with pytest.raises(InvalidInputError, match="no field weights"):
         Reconstruction.from_dict({name: value for name, value in old.items() if name != "weights"})
 
@@ -164,7 +168,7 @@ def test_a_lens_changes_nothing_but_the_pixels(seen):
     ideal = solve(observation)
     bent = reconstruct(points, MATRIX, confidence=observation.confidence, box=box, distortion=lens)
     assert_alike(ideal, bent, 1e-5)
-    np.testing.assert_allclose(bent.wireframe_uv, camera.distort(ideal.wireframe_uv), atol=1e-3)
+    np.testing.assert_allclose(bent.pose.wireframe_uv, camera.distort(ideal.wireframe_uv), atol=1e-3)
     assert_alike(bent, reconstruct(points, camera, confidence=observation.confidence, box=box), 1e-12)
     assert_alike(bent, reconstruct(points, CAMERA, confidence=observation.confidence, box=box, distortion=lens), 1e-12)
 
@@ -203,7 +207,7 @@ def test_keypoints_by_name_and_as_an_observation(prior, seen):
 def test_a_confidence_means_what_its_observation_says(seen):
     observation = seen[0]
     strict = replace(observation, confidence_midpoint=0.9)
-    assert reconstruct(strict, CAMERA).weights.sum() < solve(observation).weights.sum() - 0.02
+    assert reconstruct(strict, CAMERA).diagnostics.weights.sum() < solve(observation).weights.sum() - 0.02
     with pytest.warns(DeprecationWarning, match="confidence_midpoint"):
         old = Options(confidence_midpoint=0.9)
     assert_alike(reconstruct(strict, CAMERA), solve(observation, options=old), 0.0)
@@ -240,10 +244,10 @@ def test_missing_keypoints_are_filled_in(seen):
     gone = [1, 6, 9, 12]
     pixels[gone] = np.nan
     result = reconstruct(pixels, CAMERA, confidence=observation.confidence, box=observation.box, ground=1.65)
-    assert (result.weights[gone] == 0).all()
-    assert np.isinf(result.sigmas[gone]).all()
-    assert np.isfinite(result.wireframe_uv).all()
-    off = np.linalg.norm(result.wireframe_uv[gone] - observation.keypoints[gone], axis=1)
+    assert (result.diagnostics.weights[gone] == 0).all()
+    assert np.isinf(result.diagnostics.sigmas[gone]).all()
+    assert np.isfinite(result.pose.wireframe_uv).all()
+    off = np.linalg.norm(result.pose.wireframe_uv[gone] - observation.keypoints[gone], axis=1)
     assert off.max() < 0.1 * observation.extent
     assert np.degrees(rotation_angle(result.camera_T_object, truth)) < 5
 

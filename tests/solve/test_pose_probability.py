@@ -69,11 +69,13 @@ def test_results_of_keypoints_alone_say_it():
     for seen, truth in simulate_many(prior, 150, np.random.default_rng(5), HARD):
         found = reconstruct(seen, KITTI_CAMERA, prior=prior, ground=1.65)
         assert 0.0 < found.facing_probability < 1.0
-        assert found.pose_probability + sum(o.probability for o in found.alternatives) == pytest.approx(1.0)
+        assert found.uncertainty.pose_probability + sum(
+            o.probability for o in found.uncertainty.alternatives
+        ) == pytest.approx(1.0)
         if found.status is Status.CONVERGED:
-            assert all(o.probability <= found.pose_probability for o in found.alternatives)
+            assert all(o.probability <= found.uncertainty.pose_probability for o in found.uncertainty.alternatives)
         again = type(found).from_dict(found.to_dict(compact=True))
-        assert again.pose_probability == pytest.approx(found.pose_probability, abs=1e-5)
+        assert again.uncertainty.pose_probability == pytest.approx(found.uncertainty.pose_probability, abs=1e-5)
         said.append(found.facing_probability)
         right.append(found.camera_T_object[:3, 0] @ truth.camera_T_object[:3, 0] > 0.0)
     assert reliability(said, right).error < 0.05

@@ -28,7 +28,7 @@ def bits(number):
     prior = load_prior("car14")
     seen = observe(prior, yaw_pose(0.7 * number), SHAPES[number], noise=3.0, seed=number)
     result = reconstruct(seen, CAMERA, prior=prior, ground=1.65, options=Options(keep_history=False))
-    arrays = (result.camera_T_object, result.coefficients, result.wireframe, result.weights)
+    arrays = (result.camera_T_object, result.shape.coefficients, result.wireframe, result.diagnostics.weights)
     return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
 
 

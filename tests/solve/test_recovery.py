@@ -33,7 +33,7 @@ def test_the_shape_that_algorithm_1_leaves_out_is_found(prior, degrees):
     seen = observe(prior, truth, COEFFICIENTS, box=False)
     seen = replace(seen, confidence=np.full(14, 0.9))
     result = reconstruct(seen, CAMERA, options=make_options(strategy="paper", free_offsets=False, **SHARP, **QUIET))
-    np.testing.assert_allclose(result.coefficients, COEFFICIENTS, atol=0.25)
+    np.testing.assert_allclose(result.shape.coefficients, COEFFICIENTS, atol=0.25)
     assert np.linalg.norm(result.wireframe - prior.keypoints(COEFFICIENTS), axis=1).max() < 0.03
     assert np.degrees(rotation_angle(result.camera_T_object, truth)) < 0.5
     assert np.linalg.norm(result.location - truth[:3, 3]) < 0.1
@@ -54,12 +54,12 @@ def test_a_keypoint_off_the_subspace_is_found(prior, degrees):
         reconstruct(seen, CAMERA, prior=loose, options=make_options(free_offsets=free, **settings))
         for free in (False, True)
     )
-    assert (bound.offsets == 0).all()
-    away = [np.abs(result.wireframe_uv[lamp] - seen.keypoints[lamp]).max() for result in (bound, free)]
+    assert (bound.shape.offsets == 0).all()
+    away = [np.abs(result.pose.wireframe_uv[lamp] - seen.keypoints[lamp]).max() for result in (bound, free)]
     assert away[0] > 3.0
     assert away[1] < 0.5
-    assert np.linalg.norm(free.offsets[lamp]) > 0.08
-    assert np.linalg.norm(free.offsets, axis=1).argmax() == lamp
+    assert np.linalg.norm(free.shape.offsets[lamp]) > 0.08
+    assert np.linalg.norm(free.shape.offsets, axis=1).argmax() == lamp
 
 
 def test_offsets_stay_near_zero_where_their_prior_says_so(prior):
@@ -75,8 +75,8 @@ def test_offsets_stay_near_zero_where_their_prior_says_so(prior):
         )
         for sigma in (1e-3, 0.2)
     )
-    assert 0 < np.abs(tight.offsets).max() < 1e-3
-    assert np.abs(loose.offsets).max() > 0.01
+    assert 0 < np.abs(tight.shape.offsets).max() < 1e-3
+    assert np.abs(loose.shape.offsets).max() > 0.01
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -117,11 +117,11 @@ def test_the_joint_stage_moves_the_pose(prior):
         reconstruct(seen, CAMERA, options=make_options(strategy="paper", joint=joint, free_offsets=False, **SHARP))
         for joint in (False, True)
     )
-    searched = [step for step in fixed.history if step.stage == "pose"][-1]
+    searched = [step for step in fixed.diagnostics.history if step.stage == "pose"][-1]
     np.testing.assert_allclose(fixed.camera_T_object, searched.camera_T_object, atol=1e-12)
     errors = [np.linalg.norm(r.camera_T_object[:3, 3] - truth[:3, 3]) for r in (fixed, joint)]
     assert errors[1] < 0.5 * errors[0]
-    away = [np.abs(r.wireframe_uv - seen.keypoints).max() for r in (fixed, joint)]
+    away = [np.abs(r.pose.wireframe_uv - seen.keypoints).max() for r in (fixed, joint)]
     assert away[1] < 0.5 * away[0]
 
 
@@ -143,5 +143,5 @@ def test_the_numbers_of_the_default_settings(prior, degrees):
     assert np.degrees(result.rotation_y) == pytest.approx(turn, abs=1e-3)
     np.testing.assert_allclose(result.location, location, atol=1e-3)
     np.testing.assert_allclose(result.box_size, size, atol=1e-3)
-    assert result.weights.sum() == pytest.approx(weights, abs=1e-3)
-    assert sum(result.energies.values()) == pytest.approx(energy, abs=1e-3)
+    assert result.diagnostics.weights.sum() == pytest.approx(weights, abs=1e-3)
+    assert sum(result.diagnostics.energies.values()) == pytest.approx(energy, abs=1e-3)

@@ -165,13 +165,19 @@ def reconstruct_garbage(pixels, scale, shift, confidence, box, camera, lens, gro
         ends.append(type(error))
         return
     ends.append(result.status)
-    for array in (result.camera_T_object, result.coefficients, result.wireframe, result.weights, result.visibility):
+    for array in (
+        result.camera_T_object,
+        result.shape.coefficients,
+        result.wireframe,
+        result.diagnostics.weights,
+        result.diagnostics.visibility,
+    ):
         assert np.isfinite(array).all()
-    assert ((result.weights >= 0) & (result.weights <= 1)).all()
+    assert ((result.diagnostics.weights >= 0) & (result.diagnostics.weights <= 1)).all()
     pose = result.camera_T_object
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
     if result.status in (Status.CONVERGED, Status.AMBIGUOUS):  # then the orientation is known
-        assert np.linalg.eigvalsh(result.pose_covariance[:3, :3])[-1] <= np.radians(30) ** 2
+        assert np.linalg.eigvalsh(result.uncertainty.pose_covariance[:3, :3])[-1] <= np.radians(30) ** 2
 
 
 def test_garbage_neither_kills_nor_fools():

@@ -22,11 +22,11 @@ def test_errors_that_go_together_widen_the_region_and_move_nothing():
         for factor in (1.0, 4.0)
     )
     np.testing.assert_array_equal(narrow.camera_T_object, wide.camera_T_object)
-    np.testing.assert_array_equal(narrow.weights, wide.weights)
-    grown = np.diag(wide.pose_covariance) / np.diag(narrow.pose_covariance)
+    np.testing.assert_array_equal(narrow.diagnostics.weights, wide.diagnostics.weights)
+    grown = np.diag(wide.uncertainty.pose_covariance) / np.diag(narrow.uncertainty.pose_covariance)
     assert ((grown > 1.0) & (grown <= 4.0 + 1e-6)).all()  # size and shape have a prior, which says as much as before
     assert grown[1] > 2.0  # yaw is by keypoints and box alone
-    assert np.trace(wide.coefficients_covariance) > np.trace(narrow.coefficients_covariance)
+    assert np.trace(wide.uncertainty.coefficients_covariance) > np.trace(narrow.uncertainty.coefficients_covariance)
 
 
 def test_a_projected_3d_box_counts_whole():
@@ -37,7 +37,7 @@ def test_a_projected_3d_box_counts_whole():
     def position(encloses, factor):
         options = Options(box=encloses, keypoints=KeypointOptions(common_factor=factor))
         found = fgrecon.reconstruct(detected, CAMERA, size_prior="3.9,1.6,1.5", options=options)
-        return np.diag(found.pose_covariance)[3:]
+        return np.diag(found.uncertainty.pose_covariance)[3:]
 
     assert (position("cuboid", 100.0) < 20.0 * position("cuboid", 1.0)).all()
     for encloses in ("surface", "detected"):
@@ -48,11 +48,11 @@ def test_the_default_is_for_detectors_that_give_covariances():
     given = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5)
     apart = Options(keypoints=KeypointOptions(common_factor=1.0))
     plain, asked = fgrecon.reconstruct(given, CAMERA), fgrecon.reconstruct(given, CAMERA, options=apart)
-    np.testing.assert_array_equal(plain.pose_covariance, asked.pose_covariance)
+    np.testing.assert_array_equal(plain.uncertainty.pose_covariance, asked.uncertainty.pose_covariance)
     scene = fgrecon.reconstruct_scene([given, given], CAMERA, ground=1.65, options=apart)
     np.testing.assert_array_equal(
-        scene.vehicles[0].pose_covariance,
-        fgrecon.reconstruct_scene([given, given], CAMERA, ground=1.65).vehicles[0].pose_covariance,
+        scene.vehicles[0].uncertainty.pose_covariance,
+        fgrecon.reconstruct_scene([given, given], CAMERA, ground=1.65).vehicles[0].uncertainty.pose_covariance,
     )
     with pytest.raises(InvalidInputError, match="common_factor"):
         KeypointOptions(common_factor=0.5)
@@ -64,7 +64,7 @@ def test_frames_that_left_a_window_count_as_those_in_it():
     tracker, spread = fgrecon.Tracker(size_prior="kitti", window=2), []  # of two frames one leaves at each step
     for time in range(12):
         (estimate,) = tracker.update(0.1 * time, {0: detected}, camera=CAMERA, ground=1.65).values()
-        spread.append(np.sqrt(np.diag(estimate.reconstruction.size_covariance)))
+        spread.append(np.sqrt(np.diag(estimate.reconstruction.uncertainty.size_covariance)))
     assert (np.array(spread) > 0.95 * spread[0]).all()  # the same image again says no more
     assert (np.array(spread) < 1.2 * spread[0]).all()
 
@@ -75,8 +75,8 @@ def test_sizes_are_as_uncertain_as_those_of_the_traffic():
     np.testing.assert_array_equal(cars.spread, np.diag(cars.sigma**2))
     with_vans, alone = (fgrecon.reconstruct(given, CAMERA, size_prior=size) for size in (fleet, cars))
     np.testing.assert_array_equal(with_vans.camera_T_object, alone.camera_T_object)
-    assert (np.diag(with_vans.size_covariance) > np.diag(alone.size_covariance)).all()
-    assert np.trace(with_vans.pose_covariance[3:, 3:]) > np.trace(alone.pose_covariance[3:, 3:])
+    assert (np.diag(with_vans.uncertainty.size_covariance) > np.diag(alone.uncertainty.size_covariance)).all()
+    assert np.trace(with_vans.uncertainty.pose_covariance[3:, 3:]) > np.trace(alone.uncertainty.pose_covariance[3:, 3:])
 
 
 def test_where_no_fleet_is_told_it_may_be_another_one():
@@ -91,20 +91,24 @@ def test_where_no_fleet_is_told_it_may_be_another_one():
     results = {}
     for name, size in (("untold", None), ("its own", SizePrior("its own", mean, np.sqrt(np.diag(basis @ basis.T))))):
         results[name] = fgrecon.reconstruct(given, CAMERA, size_prior=size)
-    spread = {name: np.trace(one.size_covariance) for name, one in results.items()}
+    spread = {name: np.trace(one.uncertainty.size_covariance) for name, one in results.items()}
     assert spread["untold"] > 1.2 * spread["its own"]
-    far = {name: np.trace(one.pose_covariance[3:, 3:]) for name, one in results.items()}
+    far = {name: np.trace(one.uncertainty.pose_covariance[3:, 3:]) for name, one in results.items()}
     assert far["untold"] > 1.2 * far["its own"]
 
 
 def test_who_knows_that_the_fleet_is_the_priors_own_says_so():
     given = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5)
     own = Options(shape=ShapeOptions(own_fleet=True))
-    spread = [np.trace(fgrecon.reconstruct(given, CAMERA, options=o).size_covariance) for o in (own, Options())]
+    spread = [
+        np.trace(fgrecon.reconstruct(given, CAMERA, options=o).uncertainty.size_covariance) for o in (own, Options())
+    ]
     assert spread[1] > 1.2 * spread[0]
     seen = [given, observe(load_prior("car14"), yaw_pose(-2.0), noise=0.5, seed=1)]
     scenes = [fgrecon.reconstruct_scene(seen, CAMERA, options=o) for o in (own, Options())]
-    assert np.trace(scenes[1].vehicles[0].size_covariance) > 1.2 * np.trace(scenes[0].vehicles[0].size_covariance)
+    assert np.trace(scenes[1].vehicles[0].uncertainty.size_covariance) > 1.2 * np.trace(
+        scenes[0].vehicles[0].uncertainty.size_covariance
+    )
 
 
 def test_fleets_differ_by_all_their_dimensions_alike():

@@ -135,8 +135,13 @@ def test_what_cannot_be_solved_is_refused_and_the_rest_goes_on():
     assert list(scene.refused) == [1]
     assert isinstance(scene.refused[1], DegenerateProblemError)
     assert all(vehicle.status in (Status.CONVERGED, Status.AMBIGUOUS) for vehicle in scene.vehicles)
-    assert {step.stage for step in scene.vehicles[0].history} == {"initialisation", "pose", "joint", "scene"}
-    assert scene.vehicles[0].energies["ground"] >= 0.0
+    assert {step.stage for step in scene.vehicles[0].diagnostics.history} == {
+        "initialisation",
+        "pose",
+        "joint",
+        "scene",
+    }
+    assert scene.vehicles[0].diagnostics.energies["ground"] >= 0.0
     assert "3 vehicles, 1 refused" in repr(scene)
 
 
@@ -150,7 +155,9 @@ def test_a_vehicle_that_nothing_determines_leaves_the_others_as_without_it(seed)
     for one, other in zip(known.vehicles, without.vehicles, strict=False):
         np.testing.assert_allclose(one.location, other.location, rtol=0.04, atol=0.05)  # it may tell of the fleet
         assert one.rotation_y == pytest.approx(other.rotation_y, abs=0.02)
-        np.testing.assert_allclose(one.pose_covariance, other.pose_covariance, rtol=0.15, atol=1e-3)
+        np.testing.assert_allclose(
+            one.uncertainty.pose_covariance, other.uncertainty.pose_covariance, rtol=0.15, atol=1e-3
+        )
     assert len(known.vehicles) == 3
     camera = replace(CAMERA, focal_sigma=0.5)
     shared, plain = (
@@ -158,7 +165,7 @@ def test_a_vehicle_that_nothing_determines_leaves_the_others_as_without_it(seed)
     )
     assert shared[0].camera.focal_sigma == pytest.approx(plain[0].camera.focal_sigma, rel=0.05)
     assert shared[0].camera.matrix[0, 0] == pytest.approx(plain[0].camera.matrix[0, 0], rel=0.05)
-    assert all(one.pose_covariance is not None for scene in shared for one in scene.vehicles[:2])
+    assert all(one.uncertainty.pose_covariance is not None for scene in shared for one in scene.vehicles[:2])
 
 
 def test_the_same_input_gives_the_same_bits():

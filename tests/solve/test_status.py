@@ -44,7 +44,7 @@ def status_of(solved, monkeypatch):
         monkeypatch.setattr("fgrecon.solve.result.read_covariances", lambda *_: covariance)
         monkeypatch.setattr(part, "problem", problem)
         (result,) = results([GraphObservation(problem)], [solved.start], adjusted, {})
-        assert [other.excess for other in result.alternatives] == [other.excess for other in alternatives]
+        assert [other.excess for other in result.uncertainty.alternatives] == [other.excess for other in alternatives]
         return result.status, result.message
 
     return told
@@ -106,7 +106,7 @@ def test_whole_cars_and_halves():
     pixels[np.setdiff1d(np.arange(14), [0, 2, 4, 10, 12])] = np.nan
     two = reconstruct(pixels, CAMERA, confidence=np.full(14, 0.9), ground=1.65)
     assert two.status is Status.AMBIGUOUS
-    assert two.alternatives[0].excess <= Options().ambiguity_margin
+    assert two.uncertainty.alternatives[0].excess <= Options().ambiguity_margin
     assert "nats worse" in two.message
     assert reconstruct(observation, CAMERA).status is Status.CONVERGED
     loose = reconstruct(observation.keypoints, CAMERA, options=make_options(sigma_pixels=500.0, box_model="off"))

@@ -15,6 +15,7 @@ from fgrecon.core.reconstruction import Status
 from fgrecon.io.track_file import read_track
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 from fgrecon.solve.track import reconstruct_track
+from tests.results import value_of
 from tests.settings import options as make_options
 
 COEFFICIENTS = np.array([0.9, -0.6, 0.4, 0.2, -0.5])
@@ -77,7 +78,7 @@ def test_many_images_tell_the_shape_better_than_the_average_one(car):
     together = np.linalg.norm(track.frames[0].wireframe - car.keypoints, axis=1).mean()
     assert together < np.mean(errors)
     assert all(
-        np.trace(frame.coefficients_covariance) < np.trace(result.coefficients_covariance)
+        np.trace(frame.uncertainty.coefficients_covariance) < np.trace(result.uncertainty.coefficients_covariance)
         for frame, result in zip(track.frames, alone, strict=True)
     )
 
@@ -132,9 +133,9 @@ def test_one_image_gives_what_it_gives_alone(car, strategy):
     (frame,) = track.frames
     assert frame.status is alone.status
     for name in ("camera_T_object", "coefficients", "offsets", "weights", "pose_covariance"):
-        np.testing.assert_allclose(getattr(frame, name), getattr(alone, name), rtol=0, atol=1e-9)
-    assert track.energies == pytest.approx(alone.energies, abs=1e-9)
-    assert frame.graph_iterations == alone.graph_iterations
+        np.testing.assert_allclose(value_of(frame, name), value_of(alone, name), rtol=0, atol=1e-9)
+    assert track.energies == pytest.approx(alone.diagnostics.energies, abs=1e-9)
+    assert frame.diagnostics.graph_iterations == alone.diagnostics.graph_iterations
 
 
 def test_copies_of_an_image_count_as_their_common_error_says(car):
@@ -145,12 +146,12 @@ def test_copies_of_an_image_count_as_their_common_error_says(car):
     tracks = [reconstruct_track(seen * 3, KITTI_CAMERA, options=one) for one in options]
     for frame in tracks[0].frames:
         np.testing.assert_allclose(frame.camera_T_object, alone.camera_T_object, atol=1e-5)
-        np.testing.assert_allclose(frame.coefficients, alone.coefficients, atol=1e-5)
+        np.testing.assert_allclose(frame.shape.coefficients, alone.shape.coefficients, atol=1e-5)
         for name in ("pose_covariance", "coefficients_covariance"):
-            expected = getattr(alone, name)
-            np.testing.assert_allclose(getattr(frame, name), expected, atol=1e-4 * np.abs(expected).max())
-    assert sum(tracks[0].energies.values()) == pytest.approx(sum(alone.energies.values()), abs=1e-6)
-    spread = [np.trace(track.frames[0].coefficients_covariance) for track in tracks]
+            expected = value_of(alone, name)
+            np.testing.assert_allclose(value_of(frame, name), expected, atol=1e-4 * np.abs(expected).max())
+    assert sum(tracks[0].energies.values()) == pytest.approx(sum(alone.diagnostics.energies.values()), abs=1e-6)
+    spread = [np.trace(track.frames[0].uncertainty.coefficients_covariance) for track in tracks]
     assert spread[0] > spread[1] > spread[2]
 
 
@@ -161,9 +162,11 @@ def test_a_track_anneals(car):
     updates = fgrecon.Options(strategy="gnc").strategy.updates
     assert {step.irls for step in track.history} >= set(range(updates))
     for frame in track.frames:
-        joint = [step for step in frame.history if step.stage == "joint"]
+        joint = [step for step in frame.diagnostics.history if step.stage == "joint"]
         assert joint[0].weights.sum() > 1.05 * joint[-1].weights.sum()
-        alone = [step for step in frame.history if step.stage == "pose"][-1]  # at the end of its own annealing
+        alone = [step for step in frame.diagnostics.history if step.stage == "pose"][
+            -1
+        ]  # at the end of its own annealing
         assert joint[0].weights.sum() > 1.05 * alone.weights.sum()
 
 
@@ -173,7 +176,7 @@ def test_without_history_nothing_is_kept(car):
     kept = reconstruct_track(seen, KITTI_CAMERA)
     assert track.history == ()
     assert track.graph == ()
-    assert all(frame.history == () for frame in track.frames)
+    assert all(frame.diagnostics.history == () for frame in track.frames)
     assert len(kept.history) > 2
     assert track.coefficients.tobytes() == kept.coefficients.tobytes()
     assert track.energies == kept.energies
@@ -212,8 +215,8 @@ def test_a_solve_that_gives_up_says_so_and_keeps_the_state_before(car, monkeypat
     assert track.history == ()
     for frame in track.frames:
         assert np.isfinite(frame.camera_T_object).all()
-        np.testing.assert_array_equal(frame.coefficients, track.coefficients)
-        assert {step.stage for step in frame.history} == {"initialisation", "pose"}
+        np.testing.assert_array_equal(frame.shape.coefficients, track.coefficients)
+        assert {step.stage for step in frame.diagnostics.history} == {"initialisation", "pose"}
 
 
 @pytest.mark.data

@@ -10,7 +10,17 @@ import numpy as np
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.observation import Observation
-from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status
+from fgrecon.core.reconstruction import (
+    Alternative,
+    Diagnostics,
+    GraphFactor,
+    Iteration,
+    Pose,
+    Reconstruction,
+    Shape,
+    Status,
+    Uncertainty,
+)
 from fgrecon.io.catalogue import load_prior
 from fgrecon.viz import SolvedVehicle, Truth, recording_of, scene_recording_of
 
@@ -62,35 +72,43 @@ def make_example(seed: int = 0) -> Example:
     reconstruction = Reconstruction(
         status=Status.CONVERGED,
         message="the energy changed by less than 1e-9 of itself",
-        category="car14",
-        prior=prior.name,
-        keypoint_names=prior.category.keypoints,
-        camera_T_object=last.camera_T_object,
-        coefficients=last.coefficients,
-        offsets=np.zeros_like(shape),
-        wireframe=last.keypoints,
-        wireframe_uv=last.projections,
-        edges=np.array(prior.category.edges),
-        box_size=prior.box_size(last.coefficients),
-        weights=last.weights,
-        sigmas=np.where(last.weights > 0, 2.0 / np.sqrt(np.maximum(last.weights, 1e-12)), np.inf),
-        visibility=np.where(np.arange(len(shape)) % 2 == 0, 0.95, 0.1),
-        pose_covariance=np.eye(6) * 1e-3,
-        coefficients_covariance=np.eye(prior.dimension) * 0.1,
-        keypoint_covariance=covariance,
-        size_covariance=np.diag([0.09, 0.01, 0.0121]),
-        energies=last.energies,
-        alternatives=(Alternative(start.matrix(), last.coefficients, 99.0),),
-        history=tuple(history),
-        milliseconds={"pose": 3.1, "shape": 6.2, "joint": 2.9},
-        surface_vertices=prior.surface.vertices(last.coefficients),
-        surface_faces=np.asarray(prior.surface.faces, dtype=np.int64),
-        faces={face.name: face.keypoints for face in prior.category.faces},
-        symmetric_pairs=np.array(prior.category.symmetric_pairs),
-        graph=(
-            *(GraphFactor("reprojection", name, ("X(v=0,t=0)", "L(v=0)")) for name in prior.category.keypoints),
-            GraphFactor("box", "", ("X(v=0,t=0)", "L(v=0)")),
-            GraphFactor("planarity", "wheels", ("L(v=0)", "P(v=0,f=0)")),
+        pose=Pose(
+            camera_T_object=last.camera_T_object,
+            wireframe_uv=last.projections,
+        ),
+        shape=Shape(
+            category="car14",
+            prior=prior.name,
+            keypoint_names=prior.category.keypoints,
+            coefficients=last.coefficients,
+            offsets=np.zeros_like(shape),
+            wireframe=last.keypoints,
+            edges=np.array(prior.category.edges),
+            box_size=prior.box_size(last.coefficients),
+            surface_vertices=prior.surface.vertices(last.coefficients),
+            surface_faces=np.asarray(prior.surface.faces, dtype=np.int64),
+            faces={face.name: face.keypoints for face in prior.category.faces},
+            symmetric_pairs=np.array(prior.category.symmetric_pairs),
+        ),
+        uncertainty=Uncertainty(
+            pose_covariance=np.eye(6) * 1e-3,
+            coefficients_covariance=np.eye(prior.dimension) * 0.1,
+            keypoint_covariance=covariance,
+            size_covariance=np.diag([0.09, 0.01, 0.0121]),
+            alternatives=(Alternative(start.matrix(), last.coefficients, 99.0),),
+        ),
+        diagnostics=Diagnostics(
+            weights=last.weights,
+            sigmas=np.where(last.weights > 0, 2.0 / np.sqrt(np.maximum(last.weights, 1e-12)), np.inf),
+            visibility=np.where(np.arange(len(shape)) % 2 == 0, 0.95, 0.1),
+            energies=last.energies,
+            history=tuple(history),
+            milliseconds={"pose": 3.1, "shape": 6.2, "joint": 2.9},
+            graph=(
+                *(GraphFactor("reprojection", name, ("X(v=0,t=0)", "L(v=0)")) for name in prior.category.keypoints),
+                GraphFactor("box", "", ("X(v=0,t=0)", "L(v=0)")),
+                GraphFactor("planarity", "wheels", ("L(v=0)", "P(v=0,f=0)")),
+            ),
         ),
     )
     truth = Truth(true_pose.matrix(), prior.box_size(coefficients), shape)

@@ -10,6 +10,7 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.sample import GROUND, SampleStreet, SeenCar, sample_street
 from fgrecon.viz import DrawnVehicle, Truth
+from tests.results import changed
 from tests.viz.made_up import Example
 
 __all__ = ["GROUND", "result_of", "shown_of", "street"]
@@ -26,8 +27,10 @@ def result_of(example: Example, car: SeenCar, *, status: Status = Status.CONVERG
     pose, start = truth.camera_T_object.copy(), truth.camera_T_object.copy()
     pose[:3, 3] += (0.3, 0.0, 0.0)
     start[:3, 3] += (0.0, 0.0, 3.0)
-    first = replace(example.reconstruction.history[0], camera_T_object=start, keypoints=truth.vehicle.keypoints)
-    return replace(
+    first = replace(
+        example.reconstruction.diagnostics.history[0], camera_T_object=start, keypoints=truth.vehicle.keypoints
+    )
+    return changed(
         example.reconstruction,
         status=status,
         camera_T_object=pose,

@@ -10,14 +10,15 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.viz import SolvedVehicle, animate
+from tests.results import changed
 from tests.viz.made_up import Example
 
 
 @pytest.fixture(scope="module")
 def short(example: Example) -> Example:
-    history = example.reconstruction.history
+    history = example.reconstruction.diagnostics.history
     return replace(
-        example, reconstruction=replace(example.reconstruction, history=(history[0], history[3], history[-1]))
+        example, reconstruction=changed(example.reconstruction, history=(history[0], history[3], history[-1]))
     )
 
 
@@ -63,7 +64,7 @@ def test_other_endings_are_refused(short: Example, tmp_path, name: str) -> None:
 
 
 def test_without_a_history_there_is_nothing_to_animate(short: Example, tmp_path) -> None:
-    still = replace(sight_of(short), reconstruction=replace(short.reconstruction, history=()))
+    still = replace(sight_of(short), reconstruction=changed(short.reconstruction, history=()))
     with pytest.raises(InvalidInputError, match="keep_history"):
         animate(tmp_path / "a.gif", still)
     assert not list(tmp_path.iterdir())

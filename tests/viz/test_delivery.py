@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,6 +12,7 @@ from rerun.chunk import RrdReader
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.viz import Recording, SolvedVehicle, entities, recording_of, replay
 from fgrecon.viz.delivery import deliver, recordings_of
+from tests.results import changed
 from tests.viz.made_up import Example, make_example
 
 
@@ -23,7 +23,10 @@ def example() -> Example:
 
 def recordings(example: Example, count: int) -> list[tuple[str, Recording]]:
     """Recordings that differ in the length of their history."""
-    results = [replace(example.reconstruction, history=example.reconstruction.history[: 3 + i]) for i in range(count)]
+    results = [
+        changed(example.reconstruction, history=example.reconstruction.diagnostics.history[: 3 + i])
+        for i in range(count)
+    ]
     return [
         (f"car {i}", recording_of(SolvedVehicle(r, example.observation, example.camera))) for i, r in enumerate(results)
     ]

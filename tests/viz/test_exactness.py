@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from fgrecon.viz import replay
+from tests.results import changed
 from tests.viz.made_up import make_example, record
 
 NUMBERS = st.floats(width=64, allow_nan=False)  # infinities, subnormal numbers and negative zero included
@@ -30,11 +31,13 @@ def test_every_number_of_the_history_survives(coefficients, projections, weights
     result = EXAMPLE.reconstruction
     history = tuple(
         replace(step, coefficients=c, projections=p, weights=w, energies=e)
-        for step, c, p, w, e in zip(result.history[:3], coefficients, projections, weights, energies, strict=True)
+        for step, c, p, w, e in zip(
+            result.diagnostics.history[:3], coefficients, projections, weights, energies, strict=True
+        )
     )
     with tempfile.TemporaryDirectory() as folder, np.errstate(invalid="ignore", over="ignore"):
         path = Path(folder) / "car.rrd"
-        record(path, replace(result, history=history), EXAMPLE.observation, EXAMPLE.camera)
+        record(path, changed(result, history=history), EXAMPLE.observation, EXAMPLE.camera)
         back = replay.read(path)
     for a, b in zip(back.history, history, strict=True):
         for name in ("camera_T_object", "coefficients", "keypoints", "projections", "weights"):

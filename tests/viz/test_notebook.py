@@ -17,6 +17,7 @@ from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.io.images import write_png
 from fgrecon.viz import DrawnVehicle, SolvedVehicle, notebook, recording_of, scene_picture
 from fgrecon.viz.picture import as_rgb
+from tests.results import changed
 from tests.viz.made_up import make_example
 
 
@@ -55,12 +56,12 @@ def test_a_result_over_its_image_in_3d_and_from_above(example, tmp_path):
 def test_the_wireframe_lies_where_the_image_has_it(example):
     axes = notebook.plot(example.reconstruction).axes[0]
     (x1, x2), (y2, y1) = axes.get_xlim(), axes.get_ylim()
-    pixels = example.reconstruction.wireframe_uv
+    pixels = example.reconstruction.pose.wireframe_uv
     assert ((pixels > (x1, y1)) & (pixels < (x2, y2))).all()
 
 
 def test_without_a_pose_the_keypoints_alone(example):
-    nowhere = replace(example.reconstruction, camera_T_object=np.full((4, 4), np.nan))
+    nowhere = changed(example.reconstruction, camera_T_object=np.full((4, 4), np.nan))
     assert titles(notebook.plot(nowhere, observation=example.observation)) == ["No pose"]
     assert notebook.html(nowhere).startswith("<div><img")
 

@@ -1,12 +1,11 @@
 """What hides what: depth images of vehicles, and lines cut where something is before them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from fgrecon.core.camera import Camera
 from fgrecon.viz.occlusion import depth_image, pieces_of, runs_of
+from tests.results import changed
 
 CAMERA = Camera(np.array([[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]]), image_size=(640, 480))
 SIZE = (640.0, 480.0)
@@ -18,7 +17,7 @@ def wall(example, depth, half=1.0):
     pose = np.eye(4)
     pose[2, 3] = depth
     faces = np.array([(0, 1, 2), (0, 2, 3)])
-    return replace(example.reconstruction, camera_T_object=pose, surface_vertices=corners, surface_faces=faces)
+    return changed(example.reconstruction, camera_T_object=pose, surface_vertices=corners, surface_faces=faces)
 
 
 def test_the_nearest_counts(example):
@@ -64,7 +63,7 @@ def test_what_lies_behind_the_camera_is_in_neither(example):
 
 
 def test_wireframes_hide_where_there_is_no_surface(example):
-    result = replace(example.reconstruction, surface_vertices=None, surface_faces=None)
+    result = changed(example.reconstruction, surface_vertices=None, surface_faces=None)
     depth = depth_image([result], example.camera, (1242.0, 375.0))
     covered = np.isfinite(depth.depth)
     x1, y1, x2, y2 = example.observation.box.astype(int)

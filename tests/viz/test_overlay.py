@@ -9,6 +9,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Status
 from fgrecon.viz import DrawnVehicle, style
 from fgrecon.viz.overlay import annotated
+from tests.results import changed
 
 
 def near(image, colour, tolerance=40):
@@ -63,7 +64,7 @@ def test_the_view_from_above_is_to_scale(example):
     for x, z in ((0.0, 20.0), (0.0, 40.0), (10.0, 20.0)):
         pose = example.reconstruction.camera_T_object.copy()
         pose[:3, 3] = [x, 1.65, z]
-        result = replace(example.reconstruction, camera_T_object=pose)
+        result = changed(example.reconstruction, camera_T_object=pose)
         drawn = annotated(blank, [DrawnVehicle(3, np.array([0.0, 0, 5, 5]), result)], example.camera)
         rows, columns = np.nonzero(near(drawn, style.categorical(3)))
         inset = columns >= 1242

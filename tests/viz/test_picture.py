@@ -15,6 +15,7 @@ from fgrecon.core.reconstruction import Status
 from fgrecon.viz import SolvedVehicle, as_rgb, contact_sheet, picture, save_picture, style
 from fgrecon.viz.describe import describe_errors
 from fgrecon.viz.style import Side
+from tests.results import changed
 from tests.viz.made_up import Example
 
 
@@ -24,13 +25,13 @@ def draw(example: Example, **changes):
 
 
 def failed(example: Example):
-    return replace(
+    return changed(
         example.reconstruction,
         status=Status.FAILED,
         message="every keypoint lies on one line",
         camera_T_object=np.full((4, 4), np.nan),
         wireframe=np.full_like(example.reconstruction.wireframe, np.nan),
-        wireframe_uv=np.full_like(example.reconstruction.wireframe_uv, np.nan),
+        wireframe_uv=np.full_like(example.reconstruction.pose.wireframe_uv, np.nan),
         box_size=np.full(3, np.nan),
         history=(),
         surface_vertices=None,
@@ -61,7 +62,7 @@ def test_panels_are_those_of_the_paper(example: Example) -> None:
         "From above",
     ]
     written = texts(figure)
-    history = example.reconstruction.history
+    history = example.reconstruction.diagnostics.history
     last_pose = [step for step in history if step.stage == "pose"][-1]
     for step in (history[0], last_pose, history[-1]):
         assert describe_errors(example.truth, step.camera_T_object, step.keypoints) in written
@@ -114,12 +115,12 @@ def test_a_failed_result_shows_the_keypoints_and_the_reason(example: Example) ->
 
 
 def test_a_result_without_history_says_so(example: Example) -> None:
-    figure = draw(example, reconstruction=replace(example.reconstruction, history=()))
+    figure = draw(example, reconstruction=changed(example.reconstruction, history=()))
     assert texts(figure).count("not recorded") == 2
 
 
 def test_a_bare_result_is_drawn(example: Example) -> None:
-    bare = replace(example.reconstruction, surface_vertices=None, surface_faces=None, keypoint_covariance=None)
+    bare = changed(example.reconstruction, surface_vertices=None, surface_faces=None, keypoint_covariance=None)
     nothing = np.full_like(example.observation.keypoints, np.nan)
     observation = replace(example.observation, keypoints=nothing, box=None)
     figure = draw(example, reconstruction=bare, observation=observation, image=None, truth=None)
@@ -135,7 +136,7 @@ def test_the_3d_view_takes_the_corner_that_the_camera_sees(example: Example) -> 
         )
         eye = -pose[:3, :3].T @ pose[:3, 3]
         corners[name] = f"{'front' if eye[0] > 0 else 'rear'} {'left' if eye[2] > 0 else 'right'}"
-        figure = draw(example, reconstruction=replace(example.reconstruction, camera_T_object=pose), truth=None)
+        figure = draw(example, reconstruction=changed(example.reconstruction, camera_T_object=pose), truth=None)
         assert f"from the {corners[name]}" in texts(figure)
     assert len(set(corners.values())) == 2
 

@@ -14,6 +14,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
 from fgrecon.viz import SolvedVehicle, entities, recording_of, replay, style
 from fgrecon.viz.replay import _read
+from tests.results import changed
 from tests.viz.made_up import STAGES, Example, record
 
 
@@ -51,12 +52,12 @@ def same(a: Iteration, b: Iteration) -> bool:
 
 def test_history_reads_back_to_the_last_bit(example: Example, recording: Path) -> None:
     history = replay.read(recording).history
-    assert len(history) == len(example.reconstruction.history)
-    assert all(same(a, b) for a, b in zip(history, example.reconstruction.history, strict=True))
+    assert len(history) == len(example.reconstruction.diagnostics.history)
+    assert all(same(a, b) for a, b in zip(history, example.reconstruction.diagnostics.history, strict=True))
 
 
 def test_every_plotted_scalar_equals_the_history(example: Example, recording: Path) -> None:
-    steps = example.reconstruction.history
+    steps = example.reconstruction.diagnostics.history
     scalars = replay.read(recording).scalars
     energy = scalars[entities.ENERGY]
     assert energy.names == ("reprojection", "prior", "dimensions", entities.TOTAL)
@@ -93,14 +94,14 @@ def test_summary_lists_the_stages(example: Example, recording: Path) -> None:
     assert [(s.stage, s.weight_updates, s.steps) for s in summary] == [
         (stage, updates, updates * steps) for stage, (updates, steps) in STAGES.items()
     ]
-    assert summary[0].first_energy == sum(example.reconstruction.history[0].energies.values())
-    assert summary[-1].last_energy == sum(example.reconstruction.history[-1].energies.values())
+    assert summary[0].first_energy == sum(example.reconstruction.diagnostics.history[0].energies.values())
+    assert summary[-1].last_energy == sum(example.reconstruction.diagnostics.history[-1].energies.values())
 
 
 def test_timelines_count_steps_stages_updates_and_frames(example: Example, recording: Path) -> None:
     (chunk,) = chunks(recording)[entities.HISTORY]
     columns = chunk.to_record_batch().to_pydict()
-    steps = example.reconstruction.history
+    steps = example.reconstruction.diagnostics.history
     updates = list(dict.fromkeys((step.stage, step.irls) for step in steps))
     assert columns[entities.STEP] == list(range(len(steps)))
     assert columns[entities.STAGE] == [list(STAGES).index(step.stage) for step in steps]
@@ -119,36 +120,36 @@ def test_log_says_why_each_stage_and_all_of_it_stopped(example: Example, recordi
     assert log[1].text == "initialisation ended after one weight update"
     ends = [line.text for line in log if " ended after update " in line.text]
     assert [text.partition(" ")[0] for text in ends] == ["pose", "shape", "joint"]
-    first, last = (example.reconstruction.history[i].weights for i in (-4, -1))
+    first, last = (example.reconstruction.diagnostics.history[i].weights for i in (-4, -1))
     assert f"weights still changed by {np.abs(last - first).max():.2g}," in ends[-1]
 
 
 def test_the_previous_estimate_is_that_of_the_weight_update_before(example: Example, recording: Path) -> None:
-    steps = example.reconstruction.history
+    steps = example.reconstruction.diagnostics.history
     (drawn,) = (chunk for chunk in chunks(recording)[entities.PREVIOUS_3D] if not chunk.is_static)
     strips = drawn.to_record_batch().to_pydict()["LineStrips3D:strips"]
     last = max(i for i, step in enumerate(steps) if (step.stage, step.irls) == ("joint", 0))
     pose = steps[last].camera_T_object
     expected = steps[last].keypoints @ pose[:3, :3].T + pose[:3, 3]
-    np.testing.assert_allclose(strips[-1], expected[example.reconstruction.edges], atol=1e-5)
+    np.testing.assert_allclose(strips[-1], expected[example.reconstruction.shape.edges], atol=1e-5)
     assert strips[0] == strips[1]  # before the second update lies the first
 
 
 def test_planes_lie_where_the_keypoints_are(example: Example, recording: Path) -> None:
     found, result = chunks(recording), example.reconstruction
-    for name in (*result.faces, entities.MEDIAL):
+    for name in (*result.shape.faces, entities.MEDIAL):
         (drawn,) = (chunk for chunk in found[f"{entities.PLANES}/{name}"] if not chunk.is_static)
         corners = np.array(drawn.to_record_batch().to_pydict()["Mesh3D:vertex_positions"][-1])
         if name == entities.MEDIAL:
             assert np.abs(corners[:, 2]).max() < 1e-6
             assert np.ptp(corners[:, 0]) > 3.0
         else:
-            assert np.abs(corners - result.wireframe[list(result.faces[name])]).max() < 0.02
+            assert np.abs(corners - result.wireframe[list(result.shape.faces[name])]).max() < 0.02
             assert np.linalg.matrix_rank(corners - corners.mean(axis=0), tol=1e-5) == 2
 
 
 def test_the_factor_graph_has_every_factor_and_its_variables(example: Example, recording: Path) -> None:
-    graph = example.reconstruction.graph
+    graph = example.reconstruction.diagnostics.graph
     found = chunks(recording)[entities.GRAPH]
     (moving,) = (chunk for chunk in found if not chunk.is_static)
     columns = {k: v for chunk in found if chunk.is_static for k, v in chunk.to_record_batch().to_pydict().items()}
@@ -160,7 +161,7 @@ def test_the_factor_graph_has_every_factor_and_its_variables(example: Example, r
     assert edges == expected
     assert len({tuple(place) for place in columns["GraphNodes:positions"][0]}) == len(nodes)
     colours = np.array(moving.to_record_batch().to_pydict()["GraphNodes:colors"])
-    weights = np.array([step.weights[0] for step in example.reconstruction.history])
+    weights = np.array([step.weights[0] for step in example.reconstruction.diagnostics.history])
     assert len(set(colours[:, 3])) == len(np.unique(style.readable(style.weight_colours(weights)), axis=0))
     assert len(set(colours[:, 0])) == 1
 
@@ -196,7 +197,7 @@ def test_every_entity_is_there(recording: Path) -> None:
 
 
 def test_drawn_geometry_is_the_history(example: Example, recording: Path) -> None:
-    last = example.reconstruction.history[-1]
+    last = example.reconstruction.diagnostics.history[-1]
     found = chunks(recording)
 
     def at_end(entity: str, component: str) -> np.ndarray:
@@ -205,7 +206,7 @@ def test_drawn_geometry_is_the_history(example: Example, recording: Path) -> Non
             if (
                 component in columns
                 and not chunk.is_static
-                and columns[entities.STEP][-1] == len(example.reconstruction.history) - 1
+                and columns[entities.STEP][-1] == len(example.reconstruction.diagnostics.history) - 1
             ):
                 return np.array(columns[component][-1])
         raise AssertionError(entity)
@@ -220,18 +221,18 @@ def test_drawn_geometry_is_the_history(example: Example, recording: Path) -> Non
     translation = at_end(entities.VEHICLE, "Transform3D:translation")[0]
     assert np.array_equal(translation, last.camera_T_object[:3, 3].astype(np.float32))
     surface = at_end(entities.SURFACE, "Mesh3D:vertex_positions")
-    assert np.array_equal(surface, example.reconstruction.surface_vertices.astype(np.float32))
+    assert np.array_equal(surface, example.reconstruction.shape.surface_vertices.astype(np.float32))
 
 
 def test_a_failed_result_without_history_still_records(example: Example, tmp_path: Path) -> None:
-    failed = replace(
+    failed = changed(
         example.reconstruction,
         status=Status.FAILED,
         message="every keypoint lies on one line",
         camera_T_object=np.full((4, 4), np.nan),
         coefficients=np.zeros(0),
         wireframe=np.full_like(example.reconstruction.wireframe, np.nan),
-        wireframe_uv=np.full_like(example.reconstruction.wireframe_uv, np.nan),
+        wireframe_uv=np.full_like(example.reconstruction.pose.wireframe_uv, np.nan),
         box_size=np.full(3, np.nan),
         keypoint_covariance=None,
         history=(),
@@ -249,18 +250,18 @@ def test_a_failed_result_without_history_still_records(example: Example, tmp_pat
 
 
 def test_a_result_without_history_is_its_only_step(example: Example, tmp_path: Path) -> None:
-    bare = replace(example.reconstruction, history=())
+    bare = changed(example.reconstruction, history=())
     path = record(tmp_path / "bare.rrd", bare, example.observation, example.camera)
     back = replay.read(path)
     assert back.history == ()
-    assert back.scalars[entities.WEIGHTS].values.tolist() == [bare.weights.tolist()]
-    assert back.scalars[entities.ENERGY][entities.TOTAL].tolist() == [sum(bare.energies.values())]
+    assert back.scalars[entities.WEIGHTS].values.tolist() == [bare.diagnostics.weights.tolist()]
+    assert back.scalars[entities.ENERGY][entities.TOTAL].tolist() == [sum(bare.diagnostics.energies.values())]
     assert [line.step for line in back.log] == [0, 0, 0]
     assert {entities.KEYPOINTS_2D, entities.SURFACE, f"{entities.WIREFRAME_2D}/left"} <= set(chunks(path))
 
 
 def test_what_is_not_given_is_not_drawn(example: Example, tmp_path: Path) -> None:
-    bare = replace(example.reconstruction, surface_vertices=None, surface_faces=None, keypoint_covariance=None)
+    bare = changed(example.reconstruction, surface_vertices=None, surface_faces=None, keypoint_covariance=None)
     observation = replace(example.observation, box=None)
     found = chunks(record(tmp_path / "bare.rrd", bare, observation, example.camera))
     assert entities.KEYPOINTS_2D in found
@@ -278,8 +279,11 @@ def test_what_is_not_given_is_not_drawn(example: Example, tmp_path: Path) -> Non
 def test_points_behind_the_camera_are_left_out(example: Example, tmp_path: Path) -> None:
     behind = np.diag([1.0, 1.0, 1.0, 1.0])
     behind[:3, 3] = (0.0, 0.0, -8.0)
-    steps = (replace(example.reconstruction.history[0], camera_T_object=behind), *example.reconstruction.history[1:])
-    result: Reconstruction = replace(example.reconstruction, history=steps)
+    steps = (
+        replace(example.reconstruction.diagnostics.history[0], camera_T_object=behind),
+        *example.reconstruction.diagnostics.history[1:],
+    )
+    result: Reconstruction = changed(example.reconstruction, history=steps)
     path = record(tmp_path / "behind.rrd", result, example.observation, example.camera)
     assert np.array_equal(replay.read(path).history[0].camera_T_object, behind)
     drawn = [
@@ -300,7 +304,7 @@ def test_a_stream_of_ones_own_gets_the_same(example: Example, tmp_path: Path) ->
     recording_of(SolvedVehicle(example.reconstruction, example.observation, example.camera)).make()(stream)
     stream.flush()
     stream.disconnect()
-    assert len(replay.read(path).history) == len(example.reconstruction.history)
+    assert len(replay.read(path).history) == len(example.reconstruction.diagnostics.history)
 
 
 @pytest.mark.parametrize("where", ["nowhere/car.rrd", "folder", "file/car.rrd"])

@@ -18,6 +18,7 @@ from fgrecon.viz.picture import new_figure, place_axes
 from fgrecon.viz.scene_table import scene_page
 from fgrecon.viz.subjects import DrawnScene
 from fgrecon.viz.tags import Plates
+from tests.results import changed
 from tests.viz.made_up import Example
 from tests.viz.scenes import GROUND, shown_of, street
 from tests.viz.test_picture import failed
@@ -130,7 +131,7 @@ def test_the_table_tells_what_is_known(example, seen):
     first = vehicles[0].result
     distance = np.linalg.norm(first.location)
     towards = first.location / distance
-    sigma = np.sqrt(towards @ position_covariance(first.camera_T_object, first.pose_covariance) @ towards)
+    sigma = np.sqrt(towards @ position_covariance(first.camera_T_object, first.uncertainty.pose_covariance) @ towards)
     assert page.rows[0].cells[0] == f"{distance:.1f} ± {1.96 * sigma:.1f}"
     assert page.rows[0].detail.endswith("converged")
     many = [replace(vehicles[0], identity=number) for number in range(7)]
@@ -148,7 +149,7 @@ def test_what_is_not_known_is_a_word(example, seen):
         covariance = np.diag([0.0, np.radians(turn) ** 2, 0.0, *[along**2] * 3])
         there = pose.copy()
         there[:3, 3] *= scale
-        result = replace(first.result, camera_T_object=there, pose_covariance=covariance)
+        result = changed(first.result, camera_T_object=there, pose_covariance=covariance)
         return scene_page(scene_of([replace(first, result=result)])).rows[0].cells
 
     distance = float(np.linalg.norm(pose[:3, 3]))
@@ -161,7 +162,7 @@ def test_a_pose_that_is_not_determined_is_its_2d_box(seen, vehicles):
     """Though it has one, which may be anywhere: its lines are neither in the photograph nor seen from above."""
     nowhere = vehicles[0].result.camera_T_object.copy()
     nowhere[:3, 3] = (0.0, 1.0, 2.0)
-    lost = replace(vehicles[0].result, status=Status.DEGENERATE, camera_T_object=nowhere)
+    lost = changed(vehicles[0].result, status=Status.DEGENERATE, camera_T_object=nowhere)
     figure = draw(seen, [replace(vehicles[0], result=lost), *vehicles[1:]])
     without = draw(seen, [replace(vehicles[0], result=None), *vehicles[1:]])
     assert texts(figure.axes[1]) == ["1", "2"]
@@ -171,7 +172,7 @@ def test_a_pose_that_is_not_determined_is_its_2d_box(seen, vehicles):
 
 def test_with_the_truth_it_tells_the_gain(example, seen):
     vehicles = shown_of(example, seen, truth=True)
-    starts = {v.identity: v.result.history[0].camera_T_object for v in vehicles}
+    starts = {v.identity: v.result.diagnostics.history[0].camera_T_object for v in vehicles}
     assert scene_page(scene_of(vehicles, starts)).rows[0].cells == ("3.00 → 0.30", "0.0 → 0.0")
     figure = draw(seen, vehicles, before=True)
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["Start", "Result", "", ""]
@@ -207,7 +208,7 @@ def test_what_was_not_solved_has_its_box(example, seen, vehicles):
 def test_a_vehicle_that_is_nowhere_leaves_room_for_the_others(seen, vehicles):
     pose = vehicles[1].result.camera_T_object.copy()
     pose[2, 3] = 1e6
-    figure = draw(seen, [vehicles[0], replace(vehicles[1], result=replace(vehicles[1].result, camera_T_object=pose))])
+    figure = draw(seen, [vehicles[0], replace(vehicles[1], result=changed(vehicles[1].result, camera_T_object=pose))])
     assert figure.axes[1].get_ylim()[1] < 400
     assert texts(figure.axes[1]) == ["0", "1"]  # at the border
     assert as_rgb(figure, 60).std() > 10
@@ -286,8 +287,8 @@ def test_ellipses_are_as_large_as_said(vehicles):
     outline = ellipse(np.array([[4.0, 0.0], [0.0, 0.25]]), 2.0, 360)
     assert np.ptp(outline, axis=0) == pytest.approx([8.0, 2.0], abs=1e-3)
     assert ellipse_scale(scene_of(vehicles), 0.1) == 1.0
-    tiny = [replace(v, result=replace(v.result, pose_covariance=np.eye(6) * 1e-6)) for v in vehicles]
+    tiny = [replace(v, result=changed(v.result, pose_covariance=np.eye(6) * 1e-6)) for v in vehicles]
     assert ellipse_scale(scene_of(tiny), 5.0) == 20.0
-    unknown = [replace(v, result=replace(v.result, pose_covariance=None)) for v in vehicles]
+    unknown = [replace(v, result=changed(v.result, pose_covariance=None)) for v in vehicles]
     assert ellipse_scale(scene_of(unknown), 5.0) == 1.0
     assert isinstance(vehicles[0], DrawnVehicle)

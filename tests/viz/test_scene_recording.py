@@ -14,6 +14,7 @@ from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.viz import SolvedVehicle, entities, replay
 from fgrecon.viz.describe import scene_table
 from fgrecon.viz.subjects import members_of
+from tests.results import changed
 from tests.viz.made_up import Example, record, record_scene
 from tests.viz.test_blueprint import layout_of
 from tests.viz.test_picture import failed
@@ -27,11 +28,11 @@ def sights(example: Example) -> list[SolvedVehicle]:
     """Three vehicles: one with a shorter history, one that is ambiguous and ends up facing the other way."""
     turned = example.reconstruction.camera_T_object.copy()
     turned[:3, [0, 2]] *= -1
-    history = example.reconstruction.history
+    history = example.reconstruction.diagnostics.history
     results = (
         example.reconstruction,
-        replace(example.reconstruction, history=history[:7]),
-        replace(
+        changed(example.reconstruction, history=history[:7]),
+        changed(
             example.reconstruction,
             status=Status.AMBIGUOUS,
             history=(*history[:5], replace(history[-1], camera_T_object=turned)),
@@ -57,13 +58,13 @@ def test_every_vehicle_reads_back_to_the_last_bit(sights, recording) -> None:
     read = replay.read(recording)
     assert list(read.vehicles) == ["a-b", "a-b-2", "third"]
     for sight, vehicle in zip(sights, read.vehicles.values(), strict=True):
-        history = sight.reconstruction.history
+        history = sight.reconstruction.diagnostics.history
         assert len(vehicle.history) == len(history)
         assert all(same(a, b) for a, b in zip(vehicle.history, history, strict=True))
         assert vehicle.log[-1].text.startswith(sight.reconstruction.status.value)
         assert {entities.ENERGY, entities.WEIGHTS} <= set(vehicle.scalars)
     assert read.frames == {}
-    assert len(read.history) == sum(len(sight.reconstruction.history) for sight in sights)
+    assert len(read.history) == sum(len(sight.reconstruction.diagnostics.history) for sight in sights)
     pose = next(stage for stage in read.summary() if stage.stage == "pose")
     assert pose.steps == sum(
         stage.steps for v in read.vehicles.values() for stage in v.summary() if stage.stage == "pose"
@@ -127,12 +128,12 @@ def test_the_layout_has_a_view_from_above_and_a_tab_for_each(recording) -> None:
 
 def test_the_closest_model_is_shown_instead_of_the_surface(sights, example, tmp_path) -> None:
     result = example.reconstruction
-    model = VehicleMesh("like it", result.surface_vertices, result.surface_faces)
+    model = VehicleMesh("like it", result.shape.surface_vertices, result.shape.surface_faces)
     path = record_scene(tmp_path / "scene.rrd", [replace(sights[0], model=model), sights[1]])
     found = chunks(path)
     entity = entities.of_vehicle(entities.MODEL, "a-b")
     (vertices,) = values(found[entity], "Mesh3D:vertex_positions")
-    assert np.asarray(vertices) == pytest.approx(result.surface_vertices, abs=1e-5)
+    assert np.asarray(vertices) == pytest.approx(result.shape.surface_vertices, abs=1e-5)
     assert entities.of_vehicle(entities.MODEL, "a-b-2") not in found
     surface = f"- /{entities.of_vehicle(entities.SURFACE, 'a-b')}/**"
     assert sum(surface in line for line in layout_of(path).contents) == 2

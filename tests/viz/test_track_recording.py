@@ -14,6 +14,7 @@ from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 from fgrecon.solve.track import reconstruct_track
 from fgrecon.viz import TrackInputs, Truth, entities, replay, track_recording_of
+from tests.results import changed
 from tests.viz.test_recording import chunks, same
 
 NUMBERS = (10, 11, 13, 14)
@@ -48,9 +49,9 @@ def test_every_frame_reads_back_to_the_last_bit(solved, recording: Path) -> None
     back = replay.read(recording)
     assert list(back.frames) == [10, 13, 14]
     for frame, steps in zip(track.frames, back.frames.values(), strict=True):
-        assert len(steps) == len(frame.history)
-        assert all(same(a, b) for a, b in zip(steps, frame.history, strict=True))
-    assert len(back.history) == sum(len(frame.history) for frame in track.frames)
+        assert len(steps) == len(frame.diagnostics.history)
+        assert all(same(a, b) for a, b in zip(steps, frame.diagnostics.history, strict=True))
+    assert len(back.history) == sum(len(frame.diagnostics.history) for frame in track.frames)
 
 
 def test_every_joint_step_reads_back_to_the_last_bit(solved, recording: Path) -> None:
@@ -71,9 +72,9 @@ def test_plots_by_frame_and_by_step_equal_the_results(solved, recording: Path) -
     scalars = replay.read(recording).scalars
     weights = scalars[f"{entities.FRAMES}/{entities.WEIGHTS}"]
     assert (weights.timeline, weights.times.tolist()) == (entities.FRAME, [10, 13, 14])
-    assert np.array_equal(weights.values, [frame.weights for frame in track.frames])
+    assert np.array_equal(weights.values, [frame.diagnostics.weights for frame in track.frames])
     energy = scalars[f"{entities.FRAMES}/{entities.ENERGY}"]
-    assert energy["box"].tolist() == [frame.energies["box"] for frame in track.frames]
+    assert energy["box"].tolist() == [frame.diagnostics.energies["box"] for frame in track.frames]
     joint = scalars[entities.ENERGY]
     assert joint.timeline == entities.STEP
     assert joint[entities.TOTAL].tolist() == [sum(step.energies.values()) for step in track.history]
@@ -86,7 +87,7 @@ def test_plots_by_frame_and_by_step_equal_the_results(solved, recording: Path) -
 
 def test_searches_follow_each_other_and_joint_steps_coincide(solved, recording: Path) -> None:
     track, _ = solved
-    searched = [len(frame.history) - len(track.history) for frame in track.frames]
+    searched = [len(frame.diagnostics.history) - len(track.history) for frame in track.frames]
     (chunk,) = chunks(recording)[entities.HISTORY]
     columns = chunk.to_record_batch().to_pydict()
     rows = [[i for i, frame in enumerate(columns[entities.FRAME]) if frame == number] for number in (10, 13, 14)]
@@ -127,7 +128,7 @@ def test_log_tells_of_every_image(solved, recording: Path) -> None:
 
 def test_a_track_without_history_still_records(solved, tmp_path: Path) -> None:
     track, sight = solved
-    frames = tuple(replace(frame, history=()) for frame in track.frames)
+    frames = tuple(changed(frame, history=()) for frame in track.frames)
     bare = replace(track, frames=frames, history=(), graph=())
     recording = track_recording_of(bare, replace(sight, truths=None, images=None))
     back = replay.read(recording.write(tmp_path / "bare.rrd"))

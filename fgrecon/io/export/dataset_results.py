@@ -100,7 +100,7 @@ def _row(item: NamedResult) -> list[float]:
     length, width, height = result.box_size
     yaw = result.rotation_y
     alpha = float(wrap_angle(yaw - np.arctan2(x, z)))
-    box = box_around(result.wireframe_uv) if item.box is None else item.box
+    box = box_around(result.pose.wireframe_uv) if item.box is None else item.box
     return [_UNKNOWN, _UNKNOWN, alpha, *box, height, width, length, x, y, z, yaw, score(item)]
 
 
@@ -125,8 +125,8 @@ def coco_results_text(results: Sequence[NamedResult], images: Mapping[str, Image
 
 def _coco_entry(item: NamedResult, image: int | str) -> dict[str, Any]:
     result = item.result
-    flags = np.where(result.visibility >= _VISIBLE_PROBABILITY, 2, 1)
-    pixels = result.wireframe_uv
+    flags = np.where(result.diagnostics.visibility >= _VISIBLE_PROBABILITY, 2, 1)
+    pixels = result.pose.wireframe_uv
     low, high = (pixels.min(axis=0), pixels.max(axis=0)) if item.box is None else (item.box[:2], item.box[2:])
     return {
         "image_id": image,

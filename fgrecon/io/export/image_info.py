@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.repr import brief_repr
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.json_fields import Fields, read_json
 
@@ -130,8 +130,8 @@ def score(item: NamedResult) -> float:
     """Its detector's; else the mean weight of the keypoints that the pose shows: how much was found in its place."""
     if item.score is not None:
         return item.score
-    visible = item.result.visibility >= _VISIBLE
-    return float(item.result.weights[visible].mean()) if visible.any() else 0.0
+    visible = item.result.diagnostics.visibility >= _VISIBLE
+    return float(item.result.diagnostics.weights[visible].mean()) if visible.any() else 0.0
 
 
 def quaternion(rotation: Array) -> tuple[float, float, float, float]:

@@ -188,7 +188,7 @@ def _entity(item: NamedResult, info: ImageInfo, time: int) -> dict[str, Any]:
     result = item.result
     pose, size = result.camera_T_object, result.box_size
     placed = pose if info.world_T_camera is None else info.world_T_camera @ pose
-    points = transform(placed, result.wireframe[result.edges.ravel()])
+    points = transform(placed, result.wireframe[result.shape.edges.ravel()])
     red, green, blue = (value / 255 for value in SURFACE)
     colour = {"r": red, "g": green, "b": blue}
     box = _pose(info, pose, size)
@@ -217,8 +217,8 @@ def _entity(item: NamedResult, info: ImageInfo, time: int) -> dict[str, Any]:
 def _detection(item: NamedResult, info: ImageInfo, header: dict[str, Any]) -> dict[str, Any]:
     """A vehicle in ROS 2."""
     result = item.result
-    known = np.zeros((6, 6)) if result.pose_covariance is None else pose_covariance(item, info)
-    poses = [result.camera_T_object, *(a.camera_T_object for a in result.alternatives)]
+    known = np.zeros((6, 6)) if result.uncertainty.pose_covariance is None else pose_covariance(item, info)
+    poses = [result.camera_T_object, *(a.camera_T_object for a in result.uncertainty.alternatives)]
     shares = score(item) * _probabilities(result)
     hypotheses = [
         {
@@ -236,10 +236,10 @@ def _detection(item: NamedResult, info: ImageInfo, header: dict[str, Any]) -> di
 
 def _probabilities(result: Reconstruction) -> Array:
     """Of a result and its alternatives: as it says, or else by their energies."""
-    own = result.pose_probability
+    own = result.uncertainty.pose_probability
     if np.isfinite(own):
-        return np.array([own, *(other.probability for other in result.alternatives)])
-    excess = np.array([0.0, *(other.excess for other in result.alternatives)])
+        return np.array([own, *(other.probability for other in result.uncertainty.alternatives)])
+    excess = np.array([0.0, *(other.excess for other in result.uncertainty.alternatives)])
     odds = np.where(np.isnan(excess), 0.0, np.exp(-np.nan_to_num(excess)))
     shares: Array = odds / odds.sum()
     return shares
@@ -251,12 +251,12 @@ def pose_covariance(item: NamedResult, info: ImageInfo) -> Array:
     GTSAM's is of turn and shift in the object's own frame, at its origin.
     """
     result = item.result
-    assert result.pose_covariance is not None
+    assert result.uncertainty.pose_covariance is not None
     rotation = result.camera_T_object[:3, :3]
     if info.world_T_camera is not None:
         rotation = info.world_T_camera[:3, :3] @ rotation
     centre = np.array([0.0, -result.box_size[2] / 2.0, 0.0])
     jacobian = np.zeros((6, 6))
     jacobian[:3, :3], jacobian[:3, 3:], jacobian[3:, :3] = -rotation @ np.cross(centre, np.eye(3)).T, rotation, rotation
-    covariance: Array = jacobian @ result.pose_covariance @ jacobian.T
+    covariance: Array = jacobian @ result.uncertainty.pose_covariance @ jacobian.T
     return covariance

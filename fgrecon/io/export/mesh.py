@@ -69,12 +69,12 @@ def _parts(item: NamedResult) -> Iterator[tuple[str, Any]]:
     import trimesh
 
     result = item.result
-    if result.surface_vertices is not None and result.surface_faces is not None:
-        surface = trimesh.Trimesh(result.surface_vertices, result.surface_faces, process=False)
+    if result.shape.surface_vertices is not None and result.shape.surface_faces is not None:
+        surface = trimesh.Trimesh(result.shape.surface_vertices, result.shape.surface_faces, process=False)
         yield "surface", _finish(surface, SURFACE, result.camera_T_object)
-    sides = keypoint_sides(result.keypoint_names, result.wireframe)
+    sides = keypoint_sides(result.shape.keypoint_names, result.wireframe)
     pieces = []
-    for side, edges in edge_sides(result.edges, sides).items():
+    for side, edges in edge_sides(result.shape.edges, sides).items():
         for start, end in result.wireframe[edges]:
             if np.linalg.norm(end - start) > 0:
                 tube = trimesh.creation.cylinder(_TUBE, segment=[start, end], sections=_SIDES)

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.plain import well_formed
 from fgrecon.core.reconstruction import COMPACT, FORMAT, Reconstruction
+from fgrecon.core.repr import brief_repr
+from fgrecon.core.serialise import well_formed
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_prior
@@ -51,16 +51,18 @@ class Surfaces:
 
     def complete(self, result: Reconstruction) -> Reconstruction:
         """The result with its surface, where that can be had and it has none yet."""
-        count, prior = len(result.coefficients), self._prior
-        if result.surface_vertices is not None or prior is None or prior.surface is None or count > prior.dimension:
+        shape, prior = result.shape, self._prior
+        count = len(shape.coefficients)
+        if shape.surface_vertices is not None or prior is None or prior.surface is None or count > prior.dimension:
             return result
         model = prepare(prior, self._size, None if count == prior.dimension else count).prior
-        shape = model.keypoints(result.coefficients, result.offsets)
-        if shape.shape != result.wireframe.shape or not np.abs(shape - result.wireframe).max() < _SAME:
+        points = model.keypoints(shape.coefficients, shape.offsets)
+        if points.shape != shape.wireframe.shape or not np.abs(points - shape.wireframe).max() < _SAME:
             return result
         assert model.surface is not None
-        vertices = model.surface.vertices(result.coefficients)
-        return replace(result, surface_vertices=vertices, surface_faces=model.surface.triangles)
+        vertices = model.surface.vertices(shape.coefficients)
+        shape = replace(shape, surface_vertices=vertices, surface_faces=model.surface.triangles)
+        return replace(result, shape=shape)
 
 
 def _found(settings: Mapping[str, Any]) -> ShapePrior | None:
@@ -130,7 +132,7 @@ def read_results(path: str | Path, prior: ShapePrior | str | Path | None = None)
     with well_formed(str(path), "Give the file as fgrecon wrote it."):
         if kind in _ONE:
             result = Reconstruction.from_dict(data)
-            surfaces = Surfaces({"prior": result.prior}, given)
+            surfaces = Surfaces({"prior": result.shape.prior}, given)
             return [NamedResult(Path(path).stem, surfaces.complete(result))]
         if kind == _DEMO:
             return [NamedResult("demo", Reconstruction.from_dict(data["result"]))]

@@ -9,8 +9,8 @@ from typing import Any
 
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.plain import well_formed
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.serialise import well_formed
 from fgrecon.io.export.formats import check_format
 from fgrecon.io.export.image_info import ImageInfo, info_of, names_of
 from fgrecon.io.export.results import NamedResult, ground_of

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.core.brief import brief_repr
+from fgrecon.core.repr import brief_repr
 
 __all__ = ["FILL", "MARGIN", "Crop", "crop_of", "extract"]
 

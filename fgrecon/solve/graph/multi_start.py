@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.geometry import turn_between
+from fgrecon.core.half_turn import HALF_TURN
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.core.robust import StrategyName
-from fgrecon.core.turned import HALF_TURN
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.mode_selection import is_flipped, select_modes

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import DegenerateProblemError
+from fgrecon.core.half_turn import HALF_TURN, turned_round
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative, rotation_y
-from fgrecon.core.turned import HALF_TURN, turned_round
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle_part import ShapeValues

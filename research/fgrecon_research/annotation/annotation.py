@@ -67,13 +67,13 @@ class Annotation:
             camera=camera,
             camera_T_object=result.camera_T_object,
             size=labels.size[row] if boxed else result.box_size,
-            keypoints=result.wireframe_uv,
+            keypoints=result.pose.wireframe_uv,
             visible=_visible(fit, camera, before),
             covariance=fit.covariance,
             vertices=fit.solid.vertices,
             faces=fit.solid.faces,
             before=before,
-            agreement=_agreement(found, result.wireframe_uv),
+            agreement=_agreement(found, result.pose.wireframe_uv),
             boxed=boxed,
         )
 
@@ -85,10 +85,10 @@ class Annotation:
 
 def _visible(fit: Fit, camera: Camera, before: tuple[Solid, ...]) -> Array:
     """(K,) probability of each keypoint to be seen."""
-    points, (u, v) = fit.points, fit.result.wireframe_uv.T
+    points, (u, v) = fit.points, fit.result.pose.wireframe_uv.T
     width, height = camera.image_size or (np.inf, np.inf)
     inside = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5) & (points[:, 2] > MIN_DEPTH)
-    return np.where(inside & ~hidden_behind(points, before), fit.result.visibility, 0.0)
+    return np.where(inside & ~hidden_behind(points, before), fit.result.diagnostics.visibility, 0.0)
 
 
 def _agreement(found: Detection, keypoints: Array) -> float:

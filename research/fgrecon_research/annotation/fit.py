@@ -34,7 +34,7 @@ class Fit:
             prior: The prior that the result's coefficients belong to.
         """
         surface = occluder(prior)
-        vertices = transform(result.camera_T_object, surface.vertices(result.coefficients))
+        vertices = transform(result.camera_T_object, surface.vertices(result.shape.coefficients))
         return cls(result, covariance, Solid(vertices, surface.faces.astype(np.int64)))
 
     @property

@@ -79,7 +79,11 @@ def fit_unboxed(
         numbers = [number for number in sorted(frames) if track in frames[number][1] and (number, track) not in found]
         for number, estimate in zip(numbers, estimates, strict=True):
             result = estimate.reconstruction
-            if not result.status.settled or result.pose_covariance is None or estimate.facing_probability < _SURE:
+            if (
+                not result.status.settled
+                or result.uncertainty.pose_covariance is None
+                or estimate.facing_probability < _SURE
+            ):
                 found[number, track] = Reason.UNSURE
             else:
                 found[number, track] = Fit.of(result, _covariances(result, frames[number][0]), model.prior)
@@ -92,7 +96,7 @@ def _covariances(result: Reconstruction, camera: Camera) -> Array:
     by_camera = pixel_jacobian(camera.matrix, transform(pose, result.wireframe))
     by_turn, by_point = by_pose(result.wireframe, pose[:3, :3], by_camera)
     by_all = np.concatenate([by_turn, by_point], axis=-1)
-    assert result.pose_covariance is not None
-    assert result.keypoint_covariance is not None  # both are there or none
-    covariance: Array = by_all @ result.pose_covariance @ by_all.transpose(0, 2, 1)
-    return covariance + by_point @ result.keypoint_covariance @ by_point.transpose(0, 2, 1)
+    assert result.uncertainty.pose_covariance is not None
+    assert result.uncertainty.keypoint_covariance is not None  # both are there or none
+    covariance: Array = by_all @ result.uncertainty.pose_covariance @ by_all.transpose(0, 2, 1)
+    return covariance + by_point @ result.uncertainty.keypoint_covariance @ by_point.transpose(0, 2, 1)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import TURNED_ROUND
 from fgrecon.core.metrics import THRESHOLDS
-from fgrecon.core.plain import finite
+from fgrecon.core.serialise import finite
 from fgrecon.core.text import number_or_dash
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects

@@ -8,9 +8,9 @@ from typing import Any
 
 from fgrecon.calibration.labelled_boxes import TURNED_ROUND, BoxOutcome, VideoBox, claimed_regions
 from fgrecon.core.coverage import LEVELS, Coverage, Region, coverage
-from fgrecon.core.plain import finite
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.reliability import Reliability, reliability
+from fgrecon.core.serialise import finite
 
 FORMAT = "fgrecon.calibration/1"
 WRONG = (15.0, 0.2)

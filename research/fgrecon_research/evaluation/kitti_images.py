@@ -21,7 +21,7 @@ from fgrecon.core.metrics import (
     orientation_error,
     translation_error,
 )
-from fgrecon.core.plain import finite
+from fgrecon.core.serialise import finite
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
 from fgrecon.io.kitti_files import Objects

@@ -239,7 +239,7 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
             result = result_of(scene, observation, camera, keep_history=False)
             if result.status is Status.FAILED:
                 raise FgreconError(result.message)
-            return Estimate(result.camera_T_object, result.milliseconds)
+            return Estimate(result.camera_T_object, result.diagnostics.milliseconds)
 
         return solve
 

@@ -21,8 +21,8 @@ from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import orientation_error
 from fgrecon.core.options import Options
-from fgrecon.core.plain import finite
 from fgrecon.core.refined_box import RefinedBox
+from fgrecon.core.serialise import finite
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.images import read_image

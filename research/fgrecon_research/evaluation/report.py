@@ -25,7 +25,7 @@ from rich.table import Table
 
 from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.metrics import THRESHOLDS, instances_within, orientation_precision
-from fgrecon.core.plain import finite
+from fgrecon.core.serialise import finite
 from fgrecon.core.text import markdown_row, number_or_dash
 from fgrecon.io.track_file import Track
 from fgrecon_research.evaluation.run import MethodScores

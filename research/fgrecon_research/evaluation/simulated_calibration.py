@@ -88,10 +88,10 @@ def judge_known(
 
 def keypoint_regions(result: Reconstruction, keypoints: NDArray[np.float64], group: str) -> tuple[Region, ...]:
     """The errors of 3D keypoints (K, 3) in the object's frame, by the result's covariances; NaN rows are not known."""
-    if result.keypoint_covariance is None:
+    if result.uncertainty.keypoint_covariance is None:
         return ()
     found = []
-    for error, covariance in zip(result.wireframe - keypoints, result.keypoint_covariance, strict=True):
+    for error, covariance in zip(result.wireframe - keypoints, result.uncertainty.keypoint_covariance, strict=True):
         squared = normalised_squared_error(error, covariance) if np.isfinite(error).all() else None
         if squared is not None:
             radius = float(np.linalg.det(covariance)) ** (1.0 / 6.0)

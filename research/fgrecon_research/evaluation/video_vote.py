@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.geometry import view_azimuth
+from fgrecon.core.half_turn import HALF_TURN
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.turned import HALF_TURN
 from fgrecon.perception.keypoints.decode import logit
 
 Array = NDArray[np.float64]
@@ -53,9 +53,10 @@ def vote(
 def _turned(result: Reconstruction) -> Reconstruction:
     """With a pose that is turned round, and its covariance along the axes of that."""
     signs = np.tile(np.diag(HALF_TURN)[:3], 2)
-    spread = result.pose_covariance
+    spread = result.uncertainty.pose_covariance
+    covariance = None if spread is None else spread * np.outer(signs, signs)
     return replace(
         result,
-        camera_T_object=result.camera_T_object @ HALF_TURN,
-        pose_covariance=None if spread is None else spread * np.outer(signs, signs),
+        pose=replace(result.pose, camera_T_object=result.camera_T_object @ HALF_TURN),
+        uncertainty=replace(result.uncertainty, pose_covariance=covariance),
     )

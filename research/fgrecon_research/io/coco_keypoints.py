@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.repr import brief_repr
 from fgrecon.io.files import behind_links, write_text
 from fgrecon.io.json_fields import Fields, numbers, read_json
 

@@ -138,7 +138,7 @@ def _evaluate(name: str, example: Icra2017Example, prior: ShapePrior, options: O
             options=replace(options, keep_history=history),
         )
 
-    timed = [solve(history=False).milliseconds for _ in range(runs)]
+    timed = [solve(history=False).diagnostics.milliseconds for _ in range(runs)]
     result = solve(history=True)
     return Icra2017Result(
         name=name,
@@ -146,7 +146,9 @@ def _evaluate(name: str, example: Icra2017Example, prior: ShapePrior, options: O
         reconstruction=result,
         orientation_error=float(orientation_error([result.rotation_y], [example.rotation_y])[0]),
         centre_error=float(np.linalg.norm(_centre(result.camera_T_object, result.box_size) - _label_centre(example))),
-        milliseconds={stage: min(times[stage] for times in timed) for stage in result.milliseconds} if timed else {},
+        milliseconds={stage: min(times[stage] for times in timed) for stage in result.diagnostics.milliseconds}
+        if timed
+        else {},
     )
 
 

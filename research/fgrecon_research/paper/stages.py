@@ -83,7 +83,7 @@ def solved_stages(
     if not options.keep_history:
         raise ValueError("The stages are read from the history: keep it.")
     result = solve(options)
-    if any(step.stage == "shape" for step in result.history):  # the paper's own scheme has all three
+    if any(step.stage == "shape" for step in result.diagnostics.history):  # the paper's own scheme has all three
         return stages_of(result, result, category)
     return stages_of(result, solve(replace(options, shape=replace(options.shape, joint=False))), category)
 
@@ -92,7 +92,7 @@ def stages_of(result: Reconstruction, fixed: Reconstruction, category: Category)
     """The states `pose`, `shape` and `joint` from the histories of a result and of one with `joint=False`."""
     states = {}
     for stage, source in (("pose", result), ("shape", fixed)):
-        steps = [step for step in source.history if step.stage == stage]
+        steps = [step for step in source.diagnostics.history if step.stage == stage]
         if steps:
             last = steps[-1]
             size = np.tensordot(category.dimension_operator, last.keypoints, axes=2)

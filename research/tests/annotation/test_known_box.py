@@ -42,7 +42,7 @@ def errors(fits, views, truths):
     """Of every keypoint of every image, as shares of the box."""
     return np.array(
         [
-            np.linalg.norm(fit.result.wireframe_uv - truth.projections, axis=1) / view.observation.extent
+            np.linalg.norm(fit.result.pose.wireframe_uv - truth.projections, axis=1) / view.observation.extent
             for fit, view, truth in zip(fits, views, truths, strict=True)
         ]
     )
@@ -106,7 +106,7 @@ def test_covariances_hold_for_cars_drawn_from_all_that_is_assumed(scene):
             size * (1.0 + how.size_share * rng.standard_normal(3)),
         )
         (fit,) = fit_known_boxes([BoxedView(seen, KITTI_CAMERA, box)], prior, how)
-        off = fit.result.wireframe_uv - pixels
+        off = fit.result.pose.wireframe_uv - pixels
         squares.append(np.einsum("ki,kij,kj->k", off, np.linalg.inv(fit.covariance), off))
     assert 1.2 < np.mean(squares) < 3.0  # 2 where they hold
 
@@ -148,7 +148,7 @@ def test_a_prior_without_a_surface_has_a_hull(scene, vehicle):
     fits = fit_known_boxes(views, replace(scene.prior, surface=None))
     assert np.median(errors(fits, views, truths)) < 0.02
     for fit in fits:
-        assert fit.result.surface_vertices is None
+        assert fit.result.shape.surface_vertices is None
         assert fit.solid.vertices[fit.solid.faces].shape[1:] == (3, 3)
         low, high = fit.solid.vertices.min(axis=0), fit.solid.vertices.max(axis=0)
         assert ((fit.points >= low - 1e-9) & (fit.points <= high + 1e-9))[:8].all()

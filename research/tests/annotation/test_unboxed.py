@@ -7,7 +7,7 @@ import pytest
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.turned import partners
+from fgrecon.core.half_turn import partners
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.simulation.vehicles import KITTI_CAMERA
 from fgrecon_research.annotation.annotate import LeftOut, Reason, annotate
@@ -139,13 +139,15 @@ def test_covariances_are_those_of_independent_samples(scene):
     camera = Camera(KITTI_CAMERA.matrix)
     fit = alone(observe(scene.prior, pose), pose, scene.prior, KNOWN, camera)
     result, rng, scale = fit.result, np.random.default_rng(0), 0.05
-    steps = scale * rng.multivariate_normal(np.zeros(6), result.pose_covariance, 3000)
-    shifts = np.array([scale * rng.multivariate_normal(np.zeros(3), c, 3000) for c in result.keypoint_covariance])
+    steps = scale * rng.multivariate_normal(np.zeros(6), result.uncertainty.pose_covariance, 3000)
+    shifts = np.array(
+        [scale * rng.multivariate_normal(np.zeros(3), c, 3000) for c in result.uncertainty.keypoint_covariance]
+    )
     drawn = [
-        project(result.wireframe + shifts[:, i], result.pose.retract(step).matrix(), camera.matrix)
+        project(result.wireframe + shifts[:, i], result.pose.gtsam.retract(step).matrix(), camera.matrix)
         for i, step in enumerate(steps)
     ]
-    off = (np.array(drawn) - result.wireframe_uv) / scale
+    off = (np.array(drawn) - result.pose.wireframe_uv) / scale
     sampled = np.einsum("ski,skj->kij", off, off) / len(off)
     for one, other in zip(fit.covariance, sampled, strict=True):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=0.1 * np.trace(one))
@@ -156,5 +158,5 @@ def test_the_surface_is_that_of_the_result(scene, size):
     known = Unboxed(Ground.level(1.65), None if size is None else scene.size)
     fit = alone(observe(scene.prior, yaw_pose(0.5)), yaw_pose(0.5), scene.prior, known)
     pose = fit.result.camera_T_object
-    expected = fit.result.surface_vertices @ pose[:3, :3].T + pose[:3, 3]
+    expected = fit.result.shape.surface_vertices @ pose[:3, :3].T + pose[:3, 3]
     np.testing.assert_allclose(fit.solid.vertices, expected, atol=1e-12)

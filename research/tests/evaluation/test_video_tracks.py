@@ -10,7 +10,7 @@ import pytest
 from fgrecon.calibration.labelled_boxes import SYSTEM
 from fgrecon.calibration.labelled_frames import score_frames
 from fgrecon.core.geometry import yaw_rotation
-from fgrecon.core.turned import turned_round
+from fgrecon.core.half_turn import turned_round
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon_research.evaluation import video_tracks

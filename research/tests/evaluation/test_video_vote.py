@@ -1,7 +1,5 @@
 """The vote: facings by the sum of the network's log odds over a track."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,6 +7,7 @@ import fgrecon
 from fgrecon.core.geometry import position_covariance
 from fgrecon_research.evaluation.video_vote import vote
 from tests.made_up_track import K, pose_of
+from tests.results import changed
 
 BINS = 36
 
@@ -22,7 +21,7 @@ def result():
 
 
 def at(result, yaw):
-    return replace(result, camera_T_object=pose_of(yaw, result.location))
+    return changed(result, camera_T_object=pose_of(yaw, result.location))
 
 
 def directions(probability, result):
@@ -74,6 +73,6 @@ def test_frames_without_directions_count_nothing_and_take_the_others(result):
 def test_a_result_that_is_turned_claims_the_same_region(result):
     ((_, first), _) = vote([(result, directions(0.4, result)), (result, None)])
     assert abs(np.cos(first.rotation_y) + 1.0) < 1e-6
-    regions = [position_covariance(one.camera_T_object, one.pose_covariance) for one in (result, first)]
+    regions = [position_covariance(one.camera_T_object, one.uncertainty.pose_covariance) for one in (result, first)]
     np.testing.assert_allclose(*regions, atol=1e-12)
-    assert replace(first, pose_covariance=None).pose_covariance is None
+    assert changed(first, pose_covariance=None).uncertainty.pose_covariance is None

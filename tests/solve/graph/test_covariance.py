@@ -97,8 +97,8 @@ def test_what_is_told_is_that_of_the_weighted_keypoints(strategy):
     told = reconstruct(
         problem.observation, problem.camera, ground=problem.ground, size_prior="kitti", options=problem.options
     )
-    weights = Weights(told.weights, told.visibility, np.ones(4), told.location[2])
-    state = state_of(told.camera_T_object, told.coefficients, weights, told.offsets)
+    weights = Weights(told.diagnostics.weights, told.diagnostics.visibility, np.ones(4), told.location[2])
+    state = state_of(told.camera_T_object, told.shape.coefficients, weights, told.shape.offsets)
     graph = graph_at(problem, state)
     energy = energy_of(problem, weights, told.camera_T_object, joint=True)
     jacobian = energy.jacobian(vector(energy, graph, graph.values(state)))
@@ -109,8 +109,8 @@ def test_what_is_told_is_that_of_the_weighted_keypoints(strategy):
     information[own, own] -= sizes.T @ np.diag(model.size.told**-2.0) @ sizes
     information[6:11, 6:11] += np.linalg.inv(model.traffic_spread) - np.eye(5)
     whole = np.linalg.inv(information)
-    np.testing.assert_allclose(told.pose_covariance, whole[:6, :6], atol=0.02 * np.abs(whole[:6, :6]).max())
-    np.testing.assert_allclose(told.coefficients_covariance, whole[6:11, 6:11], atol=0.02)
+    np.testing.assert_allclose(told.uncertainty.pose_covariance, whole[:6, :6], atol=0.02 * np.abs(whole[:6, :6]).max())
+    np.testing.assert_allclose(told.uncertainty.coefficients_covariance, whole[6:11, 6:11], atol=0.02)
 
 
 def test_vehicles_of_a_fleet_that_nobody_told_are_unsure_together():

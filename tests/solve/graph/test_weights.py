@@ -44,13 +44,13 @@ def test_the_result_tells_the_noise_of_its_graph(strategy, covariance):
     (result,) = results([GraphObservation(problem)], [start], found.adjusted, {})
     part = found.graph().observations[0]
     part.solved(found.weights, Form.WEIGHTED)
-    used = problem.observation.measured & (result.weights >= SMALLEST_WEIGHT)
+    used = problem.observation.measured & (result.diagnostics.weights >= SMALLEST_WEIGHT)
     assert used.any()
     blocks = []
     for (a, b, c), weight in zip(part.rows.keypoints.whitener[used], part.rows.right[used], strict=True):
         root = np.array([[a, 0.0], [b, c]])
         blocks.append(np.linalg.inv(weight * root.T @ root))
-    np.testing.assert_allclose(np.linalg.det(blocks) ** 0.25, result.sigmas[used], rtol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(blocks) ** 0.25, result.diagnostics.sigmas[used], rtol=1e-9)
     assert bool(np.abs([block[0, 1] for block in blocks]).max() > 0.1) is covariance
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from fgrecon.core.camera import Camera
+from fgrecon.core.half_turn import partners
 from fgrecon.core.observation import Observation
-from fgrecon.core.turned import partners
 from fgrecon.io.catalogue import load_prior
 
 CAMERA = Camera(np.array([[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]]))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from fgrecon.core.half_turn import partners, turned_round
 from fgrecon.core.metrics import wrap_angle
-from fgrecon.core.turned import partners, turned_round
 from fgrecon.solve.time.heading import (
     HEADINGS,
     Belief,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fgrecon
-from fgrecon.core.turned import half_a_turn
+from fgrecon.core.half_turn import half_a_turn
 from fgrecon.solve.time.heading import Belief
 from fgrecon.solve.time.neighbours import beliefs_with_neighbours, neighbour_evidence
 from tests.solve.time.streets import CAMERA, off, seen, upright

@@ -37,8 +37,8 @@ def test_a_track_of_one_frame_is_a_single_image():
     for (estimate,) in (online, smoothed):
         result = estimate.reconstruction
         np.testing.assert_array_equal(result.camera_T_object, alone.camera_T_object)
-        np.testing.assert_array_equal(result.coefficients, alone.coefficients)
-        np.testing.assert_array_equal(result.pose_covariance, alone.pose_covariance)
+        np.testing.assert_array_equal(result.coefficients, alone.shape.coefficients)
+        np.testing.assert_array_equal(result.pose_covariance, alone.uncertainty.pose_covariance)
         assert (result.status, result.message) == (alone.status, alone.message)
         assert estimate.velocity is None
         assert estimate.velocity_covariance is None

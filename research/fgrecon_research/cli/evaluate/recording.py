@@ -68,8 +68,8 @@ def _solve(track: Track, method: Method, scene: SceneKnowledge) -> TrackReconstr
     if not solved:
         return None
     frames = tuple(solved.values())
-    terms = dict.fromkeys(term for frame in frames for term in frame.energies)
-    stages = dict.fromkeys(stage for frame in frames for stage in frame.milliseconds)
+    terms = dict.fromkeys(term for frame in frames for term in frame.diagnostics.energies)
+    stages = dict.fromkeys(stage for frame in frames for stage in frame.diagnostics.milliseconds)
     settled = all(frame.status.settled for frame in frames)
     return TrackReconstruction(
         status=Status.CONVERGED if settled else Status.AMBIGUOUS,
@@ -77,8 +77,10 @@ def _solve(track: Track, method: Method, scene: SceneKnowledge) -> TrackReconstr
         numbers=tuple(solved),
         frames=frames,
         refused=refused,
-        energies={term: sum(frame.energies.get(term, 0.0) for frame in frames) for term in terms},
+        energies={term: sum(frame.diagnostics.energies.get(term, 0.0) for frame in frames) for term in terms},
         history=(),
         graph=(),
-        milliseconds={stage: sum(frame.milliseconds.get(stage, 0.0) for frame in frames) for stage in stages},
+        milliseconds={
+            stage: sum(frame.diagnostics.milliseconds.get(stage, 0.0) for frame in frames) for stage in stages
+        },
     )

@@ -91,7 +91,7 @@ def after_adjustment(screen: Screen, scored: Sequence[Scored], data: Path) -> di
     from fgrecon_research.paper.network import adjust_marked
 
     found = adjust_marked(scored, data, progress=screen.watch)
-    after = adjusted(scored, [None if result is None else result.wireframe_uv for result in found])
+    after = adjusted(scored, [None if result is None else result.pose.wireframe_uv for result in found])
     table = _table("after adjustment", "cars", "points", "PCK 0.1", "PCK 0.05", "median %")
     results = {name: localisation(after, groups) for name, groups in GROUPS.items()}
     for name, result in results.items():

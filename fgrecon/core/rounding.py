@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-__all__ = ["DECIMALS", "SIGNIFICANT", "shortened"]
+__all__ = ["DECIMALS", "SIGNIFICANT", "rounded"]
 
 DECIMALS: Mapping[str, int] = {
     "camera_T_object": 9,
@@ -35,8 +35,8 @@ SIGNIFICANT: Mapping[str, int] = {
 """Significant digits of fields whose numbers are of any size."""
 
 
-def shortened(name: str, value: Any) -> Any:
-    """The plain value of a field (`fgrecon.core.plain.plain`) with the digits that the field keeps.
+def rounded(name: str, value: Any) -> Any:
+    """The plain value of a field (`fgrecon.core.serialise.plain`) with the digits that the field keeps.
 
     Texts, integers and what the tables do not name stay as they are; dictionaries inside lists go by their own names.
     """
@@ -45,7 +45,7 @@ def shortened(name: str, value: Any) -> Any:
     if name in SIGNIFICANT:
         return _each(partial(_significant, SIGNIFICANT[name]), value)
     if isinstance(value, list) and value and isinstance(value[0], dict):
-        return [{key: shortened(key, item) for key, item in entry.items()} for entry in value]
+        return [{key: rounded(key, item) for key, item in entry.items()} for entry in value]
     return value
 
 
