@@ -36,7 +36,7 @@ from fgrecon.io.kitti_files import read_tracking
 from fgrecon.io.track_file import GroundTruth
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 from fgrecon.solve.tracker import Tracker
-from fgrecon_research.evaluation.consistency import consistency
+from fgrecon_research.evaluation.video_summary import consistency
 
 Array = NDArray[np.float64]
 

@@ -18,13 +18,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.shape_errors import expression_error, mean_error
 from fgrecon.core.category import Category
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon_research.io.annotations import Annotations, load_annotations, spread
-from fgrecon_research.paper.icra2017_release import import_icra2017
-from fgrecon_research.training.priors.compare import align, compare_priors, expression_error, mean_error
+from fgrecon_research.paper.icra2017 import import_icra2017
+from fgrecon_research.training.priors.compare import align, compare_priors
 from fgrecon_research.training.priors.learn import PROPORTIONS, LearntPrior, learn_prior, to_prior
 from fgrecon_research.training.priors.nrsfm import NrsfmOptions
 

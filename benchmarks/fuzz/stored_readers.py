@@ -227,7 +227,7 @@ def _checkpoints() -> Mapping[str, bytes]:
 def _read_checkpoint(path: Path) -> None:
     import torch
 
-    from fgrecon_research.training.keypoints.checkpoint import load_checkpoint, restore_checkpoint
+    from fgrecon_research.training.keypoints.trainer import load_checkpoint, restore_checkpoint
 
     networks = torch.nn.Linear(3, 2), torch.nn.Linear(3, 2)
     restore_checkpoint(load_checkpoint(path), *networks, torch.optim.AdamW(networks[0].parameters()), {"a": 1})

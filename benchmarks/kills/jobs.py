@@ -120,7 +120,7 @@ def _read(path: Path) -> None:
 
         load_file(path)
     elif kind == ".pt":
-        from fgrecon_research.training.keypoints.checkpoint import load_checkpoint
+        from fgrecon_research.training.keypoints.trainer import load_checkpoint
 
         with warnings.catch_warnings():
             warnings.simplefilter("error")

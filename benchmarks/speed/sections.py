@@ -15,7 +15,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.scene import reconstruct_scene
-from fgrecon_research.paper.icra2017_release import import_icra2017, load_icra2017_example
+from fgrecon_research.paper.icra2017 import import_icra2017, load_icra2017_example
 
 PEERS = ("sqpnp_confident", "poselib_ransac", "aspnp")
 

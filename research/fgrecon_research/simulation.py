@@ -29,11 +29,6 @@ def simulate_many(
     """Observe vehicles one by one, independently of one another.
 
     Args:
-        vehicles: Shapes to draw from, or a prior to sample.
-        count: How many.
-        rng: Source of randomness.
-        noise: The network's mistakes.
-        camera: The camera.
         poses: (P, 4, 4) poses to draw from, such as labelled ones; those that put a vehicle outside the image
             are drawn again. None for `kitti_like_pose`.
 
@@ -81,7 +76,6 @@ def harder(noise: NoiseModel, severity: float) -> NoiseModel:
     46 / 58 / 87 % and 2.9 m, the 76 frames that `HOURGLASS` is fitted to 1.5 degrees, 99 / 100 / 100 % and 1.0 m.
 
     Args:
-        noise: The network.
         severity: 0 changes nothing, 1 is `HARD`.
     """
     if not 0.0 <= severity < np.inf:

@@ -21,9 +21,7 @@ from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.perception.keypoints.detect import large_enough
 from fgrecon.perception.protocols import KeypointDetector, find_keypoints
-from fgrecon_research.annotation.annotation import Annotation
-from fgrecon_research.annotation.fit import Fit
-from fgrecon_research.annotation.hidden import Solid, solid_of
+from fgrecon_research.annotation.annotation import Annotation, Fit, Solid, solid_of
 from fgrecon_research.annotation.known_box import BoxedView, KnownBoxOptions, fit_known_boxes
 from fgrecon_research.annotation.unboxed import Unboxed, fit_unboxed
 
@@ -113,11 +111,7 @@ def annotate(
 
 
 def _by_frame(members: Sequence[_Member]) -> dict[int, tuple[Camera, dict[int, Observation]]]:
-    """What each frame shows, by its number.
-
-    Raises:
-        InvalidInputError: Two vehicles of a frame have one number.
-    """
+    """What each frame shows, by its number."""
     frames: dict[int, tuple[Camera, dict[int, Observation]]] = {}
     for one in members:
         _, seen = frames.setdefault(one.frame.number, (one.camera, {}))

@@ -36,7 +36,7 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.starts import from_box3d
 from fgrecon.solve.result import results
 from fgrecon.solve.vehicle.model import prepare
-from fgrecon_research.annotation.fit import Fit
+from fgrecon_research.annotation.annotation import Fit
 
 Array = NDArray[np.float64]
 
@@ -78,11 +78,6 @@ def fit_known_boxes(
     views: Sequence[BoxedView], prior: ShapePrior, how: KnownBoxOptions | None = None
 ) -> list[Fit | Reason]:
     """The shape of a vehicle of known boxes, and its poses within what the boxes leave open.
-
-    Args:
-        views: Its images.
-        prior: Shape prior; its size becomes that of the boxes.
-        how: How exact the boxes are.
 
     Returns:
         A fit for each image, or why there is none.

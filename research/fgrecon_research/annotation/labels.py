@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import MIN_DEPTH
@@ -13,20 +15,15 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon_research.annotation.annotation import Annotation
-from fgrecon_research.annotation.silhouette import silhouette
 from fgrecon_research.io.coco_keypoints import LabelledImage, VehicleLabel, VehicleLabels
+
+Array = NDArray[np.float64]
 
 
 def vehicle_labels(
     annotations: Iterable[tuple[str, Annotation]], category: Category, info: Mapping[str, str], terms: str = ""
 ) -> VehicleLabels:
     """The labels of annotated vehicles.
-
-    Args:
-        annotations: The vehicles, each with the name of its drive.
-        category: Their category.
-        info: What made them, in words.
-        terms: Of the images, in words.
 
     Returns:
         The labels; without triangles where the surfaces do not share them.
@@ -73,3 +70,49 @@ def _label(drive: str, one: Annotation) -> VehicleLabel:
         vertices=one.vertices,
         boxed=one.boxed,
     )
+
+
+# The part of an image in which a vehicle can be seen, as polygons.
+
+
+_SIDE = 256  # cells along the longer side of what is drawn
+_AROUND = 1.2  # of the box: surfaces stick out of boxes that are not tight
+_SMALLEST = 12.0  # cells: smaller pieces are crumbs of what covers the vehicle
+_DIGITS = 1.0  # cells by which a polygon may leave the outline
+
+
+def silhouette(car: Annotation) -> tuple[Array, ...]:
+    """Where the vehicle's surface is seen, but for what nearer ones hide and what lies beyond the image.
+
+    Returns:
+        Polygons (N, 2) in pixels; none where nothing of it is seen. Holes are filled.
+    """
+    import cv2
+
+    x1, y1, x2, y2 = car.box
+    side = _AROUND * max(x2 - x1, y2 - y1)
+    corner = np.array([(x1 + x2 - side) / 2, (y1 + y2 - side) / 2])
+    scale = _SIDE / side
+
+    def drawn(vertices: Array, faces: NDArray[np.integer]) -> NDArray[np.uint8]:
+        mask = np.zeros((_SIDE, _SIDE), dtype=np.uint8)
+        before = faces[(vertices[:, 2] > MIN_DEPTH)[faces].all(axis=1)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            homogeneous = vertices @ car.camera.matrix.T
+            cells = (homogeneous[:, :2] / homogeneous[:, 2:] - corner) * scale - 0.5
+        for triangle in np.clip(np.rint(cells[before] * 16), -1e6, 1e6).astype(np.int32):  # sixteenths of a cell
+            cv2.fillConvexPoly(mask, triangle, (255,), shift=4)
+        return mask
+
+    mask = drawn(car.vertices, car.faces)
+    for solid in car.before:
+        mask[drawn(solid.vertices, solid.faces) > 0] = 0
+    if car.camera.image_size is not None:
+        pixels = corner + (np.arange(_SIDE)[:, None] + 0.5) / scale
+        inside = (pixels >= -0.5) & (pixels < np.array(car.camera.image_size) - 0.5)
+        mask[~inside[:, 1]] = 0
+        mask[:, ~inside[:, 0]] = 0
+    outlines: Any = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    large = [o for o in outlines if cv2.contourArea(o) >= _SMALLEST]
+    simple = [cv2.approxPolyDP(outline, epsilon=_DIGITS, closed=True)[:, 0] for outline in large]
+    return tuple(corner + (polygon + 0.5) / scale for polygon in simple if len(polygon) > 2)

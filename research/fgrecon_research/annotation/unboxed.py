@@ -26,7 +26,7 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.kitti_drives import IMAGES_PER_SECOND
 from fgrecon.solve.tracker import Tracker
 from fgrecon.solve.vehicle.model import prepare
-from fgrecon_research.annotation.fit import Fit
+from fgrecon_research.annotation.annotation import Fit
 
 Array = NDArray[np.float64]
 
@@ -54,9 +54,6 @@ def fit_unboxed(
 
     Args:
         frames: Their keypoints, with the 2D boxes, ten images a second.
-        prior: Shape prior.
-        known: What is known beside.
-        progress: Shows how far it is.
 
     Returns:
         A fit for each frame and track, or why there is none. Covariances take pose and shape for independent, which

@@ -14,14 +14,12 @@ from fgrecon_research.cli.evaluate.refine import refine_evaluation_command
 from fgrecon_research.cli.evaluate.tracks import tracks_command
 from fgrecon_research.cli.evaluate.video import video_command
 from fgrecon_research.cli.paper.icra2017 import icra2017_command
-from fgrecon_research.cli.paper.marks import marks_command
-from fgrecon_research.cli.paper.models import models_command
+from fgrecon_research.cli.paper.marks import marks_command, models_command
 from fgrecon_research.cli.paper.paper import paper_command
 from fgrecon_research.cli.paper.shape import shape_command
 from fgrecon_research.cli.training.keypoints import evaluate_command, silhouettes_command, train_command
 from fgrecon_research.cli.training.label import label_command
-from fgrecon_research.cli.training.prior_build import build_command
-from fgrecon_research.cli.training.prior_compare import compare_command
+from fgrecon_research.cli.training.prior_build import build_command, compare_command
 from fgrecon_research.cli.training.prior_learn import learn_command
 from fgrecon_research.cli.training.vehicles import convert_command
 

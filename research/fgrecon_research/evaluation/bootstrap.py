@@ -33,10 +33,8 @@ def mean_interval(values: ArrayLike, groups: ArrayLike | None = None, seed: int 
     """Mean of values (M,) with its interval.
 
     Args:
-        values: One number an instance.
         groups: (M,) whole numbers: instances of one group (such as one image) are drawn together, since what goes
             wrong in one may go wrong in the others; None draws each by itself.
-        seed: Seed of the resampling.
 
     Raises:
         InvalidInputError: There is no value, or the lengths differ.

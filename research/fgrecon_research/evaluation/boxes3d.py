@@ -19,8 +19,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error
 from fgrecon.io.kitti_drives import Drive
 from fgrecon.io.kitti_files import LABEL_COLUMNS, Objects
-from fgrecon_research.evaluation.kitti_overlap import Space, overlap
 from fgrecon_research.io.kitti_sets import Defect, parse_objects
+from fgrecon_research.evaluation.kitti_devkit import Space, overlap
 
 _NAME = "{:06d}"  # of a frame
 
@@ -51,7 +51,6 @@ def read_boxes(path: Path, frames: Sequence[int]) -> dict[int, Objects]:
     Args:
         path: Folder with a file of KITTI's object lines a frame, named by its number, or one file of KITTI's tracking
             lines, which speaks of every frame. A line without a score has the score 1.
-        frames: Numbers of the frames.
 
     Raises:
         InvalidInputError: It cannot be read, or a line is malformed; names file and line.
@@ -82,7 +81,6 @@ def read_boxes_of_drives(path: Path, drives: Sequence[Drive]) -> dict[str, dict[
     Args:
         path: Folder with a folder or file (`.txt`) for each drive, by its name, as `read_boxes` takes it; of a single
             drive also what `read_boxes` takes itself. Drives that are not there are left out.
-        drives: The labels.
 
     Raises:
         InvalidInputError: There is none of the drives, one cannot be read, or a line is malformed; names file and line.
@@ -101,15 +99,7 @@ def read_boxes_of_drives(path: Path, drives: Sequence[Drive]) -> dict[str, dict[
 def score(
     drive: Drive, results: Mapping[int, Objects], frames: Sequence[int], *, least: float = 0.5, min_score: float = 0.0
 ) -> list[LabelledBox]:
-    """What each labelled vehicle that counts got.
-
-    Args:
-        drive: The labels.
-        results: Boxes by frame.
-        frames: Numbers of the frames to score.
-        least: Overlap in the image above which a box is a vehicle's.
-        min_score: Boxes of a lower score are none.
-    """
+    """What each labelled vehicle that counts got."""
     chosen = set(frames)
     is_video = len(np.unique(np.concatenate([frame.tracks for frame in drive.frames]))) < sum(
         len(frame.tracks) for frame in drive.frames
@@ -150,11 +140,7 @@ def scored_box(drive: str, frame: str, index: int, group: str, label: Objects, b
     """A labelled vehicle and its box.
 
     Args:
-        drive: Name of the drive, or of the folder of single images.
-        frame: Name of the frame.
         index: Position among the frame's labels.
-        group: What errs alike.
-        label: The one label.
         box: The one box, or None.
     """
     about = (drive, frame, index, label.kind[0], float(np.linalg.norm(label.location[0])), group, box is not None)

@@ -24,8 +24,7 @@ from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
 from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
 from fgrecon_research.evaluation.boxes3d import LabelledBox
-from fgrecon_research.evaluation.kitti_devkit import LEAST_LABELS, REGIMES, evaluate
-from fgrecon_research.evaluation.kitti_overlap import Space
+from fgrecon_research.evaluation.kitti_devkit import LEAST_LABELS, REGIMES, Space, evaluate
 from fgrecon_research.evaluation.text_table import TextTable
 
 LEAST_OVERLAPS = (0.5, 0.7)
@@ -130,12 +129,7 @@ def summarise_group(vehicles: Sequence[LabelledBox]) -> OverlapSummary:
 
 
 def precisions(labels: Mapping[str, Objects], results: Mapping[str, Objects]) -> list[Precision]:
-    """KITTI's average precision of cars in each regime.
-
-    Args:
-        labels: Labels by frame.
-        results: Boxes of the same frames.
-    """
+    """KITTI's average precision of cars in each regime."""
     image = evaluate(labels, results)
     ground, volume = (
         [evaluate(labels, results, space=space, minimum_overlap=least) for least in LEAST_OVERLAPS]
@@ -202,12 +196,7 @@ def _counting(frame: DriveFrame) -> Objects:
 def tables(
     summaries: Mapping[str, Mapping[str, OverlapSummary]], curves: Mapping[str, Sequence[Precision]]
 ) -> tuple[TextTable, TextTable, TextTable]:
-    """Overlaps and angles, errors of the found vehicles, and average precision.
-
-    Args:
-        summaries: Of each source its groups.
-        curves: Of each source its regimes.
-    """
+    """Overlaps and angles, errors of the found vehicles, and average precision."""
     spaces = [f"{space} IoU ≥ {least:g} %" for space in ("3D", "BEV") for least in LEAST_OVERLAPS]
     shares: list[list[str]] = []
     errors: list[list[str]] = []

@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -68,37 +67,21 @@ class Method:
     # for recordings: solves as the solver does, but keeps the history and gives the whole result; None for a baseline,
     # which has a pose alone
     reconstruct: Callable[[SceneKnowledge, Observation, Camera], Reconstruction] | None = None
-    package: str | None = None  # python package that it needs and that fgrecon does without, or None
-
-    @property
-    def installed(self) -> bool:
-        """Whether everything is installed that it needs."""
-        return self.package is None or find_spec(self.package) is not None
-
-
-def left_out() -> tuple[str, ...]:
-    """Names of the methods that cannot run, since a package of theirs is not installed."""
-    return tuple(name for name, method in METHODS.items() if not method.installed)
 
 
 def select(names: Iterable[str] | None = None) -> tuple[Method, ...]:
-    """The methods of the given names in this order without repetitions, or all of them that are installed.
+    """The methods of the given names in this order without repetitions, or all of them.
 
     Raises:
-        InvalidInputError: There is no method, or no robust strategy, of a name, or a package of it is not installed.
+        InvalidInputError: There is no method, or no robust strategy, of a name.
     """
     chosen: dict[str, Method] = {}
-    if names is None:
-        names = [name for name, method in METHODS.items() if method.installed]
-    for name in names:
+    for name in METHODS if names is None else names:
         method, _, robust = name.partition(":")
         if method not in METHODS or (robust and not method.startswith(_OURS)):
             fix = f"Use one of {', '.join(METHODS)}; after {_OURS}... also a robust strategy, as in {_OURS}:paper."
             raise InvalidInputError("method", name, fix)
         chosen[name] = METHODS[method]
-        if not chosen[name].installed:
-            value = f"{name}: the package {chosen[name].package} is not installed"
-            raise InvalidInputError("method", value, "Run pip install fgrecon-research.")
         if robust:
             known = method.split("+")
             chosen[name] = _fgrecon(name, ground="ground" in known, size="size" in known, robust=named_strategy(robust))
@@ -192,7 +175,7 @@ def _pose(rotation: Any, translation: Any) -> NDArray[np.float64]:
     return camera_T_object
 
 
-def _baseline(name: str, summary: str, load: Callable[[], PnP], package: str | None = None, *, size: bool) -> Method:
+def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -> Method:
     def prior(scene: SceneKnowledge) -> ShapePrior:
         return of_fleet(scene.prior, scene.size) if size else scene.prior
 
@@ -210,7 +193,7 @@ def _baseline(name: str, summary: str, load: Callable[[], PnP], package: str | N
         return solve
 
     full_name = f"{name}+size" if size else name
-    return Method(full_name, summary, bind, lambda scene: f"mean shape of {prior(scene).name}", package=package)
+    return Method(full_name, summary, bind, lambda scene: f"mean shape of {prior(scene).name}")
 
 
 def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | None = None) -> Method:
@@ -250,17 +233,16 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
     return Method(name, summary, bind, prior_name, partial(result_of, keep_history=True))
 
 
-_BASELINES: tuple[tuple[str, str, Callable[[], PnP], str | None], ...] = (
-    ("epnp", "OpenCV EPnP on all points", _opencv("SOLVEPNP_EPNP", _use_all), None),
-    ("sqpnp", "OpenCV SQPnP on all points", _opencv("SOLVEPNP_SQPNP", _use_all), None),
+_BASELINES: tuple[tuple[str, str, Callable[[], PnP]], ...] = (
+    ("epnp", "OpenCV EPnP on all points", _opencv("SOLVEPNP_EPNP", _use_all)),
+    ("sqpnp", "OpenCV SQPnP on all points", _opencv("SOLVEPNP_SQPNP", _use_all)),
     (
         "sqpnp_confident",
-        f"OpenCV SQPnP on points of confidence > {CONFIDENT}",
+        f"OpenCV SQPnP, confidence > {CONFIDENT}",
         _opencv("SOLVEPNP_SQPNP", _use_confident),
-        None,
     ),
-    ("poselib_ransac", "PoseLib LO-RANSAC on all points", _poselib, "poselib"),
-    ("aspnp", "ASPnP on all points, without IRLS", _aspnp, None),
+    ("poselib_ransac", "PoseLib LO-RANSAC on all points", _poselib),
+    ("aspnp", "ASPnP on all points, without IRLS", _aspnp),
 )
 
 METHODS: Mapping[str, Method] = {

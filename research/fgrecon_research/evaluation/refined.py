@@ -113,11 +113,7 @@ def refine_drive(
     """Refine the boxes of a drive's images, and score those of labelled vehicles.
 
     Args:
-        drive: The labels and images.
         boxes: A detector's, by frame; or the source of the errors that labels are disturbed by.
-        how: How they are refined.
-        every: Take every so many of the images that count.
-        advance: Called with the drive's name after each image.
     """
     scored: list[RefinedVehicle] = []
     frames = [f for f in drive.frames if len(wanted(f)) > 0]

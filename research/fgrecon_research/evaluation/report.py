@@ -77,9 +77,6 @@ def document(
     """The JSON document of a run: every method, and under which conditions.
 
     Args:
-        scores: One entry per method.
-        files: Each track with the path that it was read from.
-        scene: What the methods were told, each as far as its name says.
         notes: Where values of the scene come from, by name.
     """
     return {
@@ -145,7 +142,6 @@ def table(scores: Sequence[MethodScores], *, narrow: bool = False) -> Table:
     """The table for the terminal.
 
     Args:
-        scores: One entry per method.
         narrow: Whether it has to fit into 80 columns: without prior and number of failures.
     """
     left_out = ("failed", "prior") if narrow else ()
@@ -176,15 +172,9 @@ def machine() -> dict[str, Any]:
     }
 
 
-def versions() -> dict[str, str | None]:
-    """Versions of the packages that the methods run on; None for one that is not installed."""
-    found: dict[str, str | None] = {}
-    for package in _PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = None
-    return found
+def versions() -> dict[str, str]:
+    """Versions of the packages that the methods run on."""
+    return {package: metadata.version(package) for package in _PACKAGES}
 
 
 def _processor() -> str:

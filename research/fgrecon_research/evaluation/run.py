@@ -69,12 +69,6 @@ def score_tracks(
 ) -> tuple[MethodScores, ...]:
     """Run every method on every frame, one after the other in this process, so that the times mean something.
 
-    Args:
-        tracks: What to run on.
-        methods: What to run.
-        scene: What the user knows about the scene.
-        advance: Called with the method's name after each frame.
-
     Returns:
         One entry per method with one score per frame, in the order given.
     """
@@ -105,9 +99,6 @@ def score_pose(solver: Solver, camera: Camera, frame: TrackFrame, label_offset: 
     """Run a bound method on one frame and score it in the label's frame.
 
     Args:
-        solver: The method.
-        camera: The camera.
-        frame: Keypoints and labelled pose.
         label_offset: (3,) what the camera's frame adds to labelled points, metres.
     """
     if frame.observation is None:

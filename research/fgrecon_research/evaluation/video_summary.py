@@ -11,6 +11,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from fgrecon.calibration.labelled_boxes import SYSTEM, TURNED_ROUND, VideoBox, View
 from fgrecon.calibration.regions import DIMENSIONS
@@ -19,7 +21,45 @@ from fgrecon.core.reconstruction import Status
 from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.core.serialise import finite
 from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
-from fgrecon_research.evaluation.consistency import Consistency, consistency
+
+Array = NDArray[np.float64]
+
+# Whether estimates are as sure as they say: squared errors by their own covariances (NEES).
+#
+# The normalised estimation error squared of an estimate whose covariance is right is a chi-square variable; divided by
+# its dimension its mean is 1. Errors of one track go together, so the bounds about 1 are those of as many draws as
+# there are tracks: a mean above them says that covariances are too small, one below that they are too large.
+
+
+_SHARE = 0.95
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """How squared errors compare with their covariances."""
+
+    mean: float  # of the normalised squared errors, by dimension; 1 where covariances are right
+    low: float  # between which it is, 95 times of 100, where they are right
+    high: float
+    median: float  # the median over that of the chi-square distribution; 1 where covariances are right
+    inside: float  # percent of the errors within their 95 % region
+    count: int  # number of estimates
+
+
+def consistency(errors: Sequence[float], dimension: int, tracks: int) -> Consistency | None:
+    """Compare normalised squared errors with what right covariances make of them; None without an error."""
+    if not len(errors):
+        return None
+    low, high = (float(chi2.ppf(p, dimension * tracks)) / (dimension * tracks) for p in (0.025, 0.975))
+    return Consistency(
+        mean=float(np.mean(errors)) / dimension,
+        low=low,
+        high=high,
+        median=float(np.median(errors) / chi2.ppf(0.5, dimension)),
+        inside=100.0 * float(np.mean(np.array(errors) <= chi2.ppf(_SHARE, dimension))),
+        count=len(errors),
+    )
+
 
 FORMAT = "fgrecon.video-images/1"
 _NEXT = 2  # frames: labelled boxes are in every second one at least
@@ -252,9 +292,6 @@ def document(
     """Everything as plain values for JSON.
 
     Args:
-        boxes: Every box.
-        summaries: Their numbers.
-        given: What was given.
         networks: Of each network its file, the drives that it scored, and what it has learnt from.
     """
     facing = facing_reliability(boxes)

@@ -4,7 +4,7 @@
 by all. Both get what the single images got, and nothing else: the camera's own motion is not given, and velocities are
 relative to the camera. `ONLINE_MOVING` and `BATCH_MOVING` are the same with the motion that the images tell. `ALONE` is
 each vehicle of each image by itself; `VOTE` and `VOTE_BATCH` turn that round where the network's directions of the
-frames so far, and of all, add up to the other facing (`fgrecon_research.evaluation.video_vote`).
+frames so far, and of all, add up to the other facing (`fgrecon_research.evaluation.video_tracks`).
 
 Velocities with the camera's motion are over the world that it makes, and so are the labels: there are none over the
 world, and the camera's error is in both. The error is thus that of the velocity relative to the camera, as without.
@@ -24,24 +24,73 @@ from fgrecon.calibration.labelled_frames import ScoredFrame
 from fgrecon.calibration.regions import normalised_squared_error
 from fgrecon.calibration.setup import Setup
 from fgrecon.core.camera import Camera
+from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import DegenerateProblemError
-from fgrecon.core.geometry import transform
+from fgrecon.core.geometry import transform, view_azimuth
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.half_turn import HALF_TURN
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.frames import SourceFrame
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import IMAGES_PER_SECOND, Drive
 from fgrecon.io.track_file import GroundTruth
+from fgrecon.perception.keypoints.decode import logit
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import GatedAssociation
 from fgrecon.video.follow import Follower
 from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import FrameRecord, Sighting
-from fgrecon_research.evaluation.video_vote import vote
 
 Array = NDArray[np.float64]
+
+# The vote: which way a vehicle faces if one merely adds up what the network says of its frames.
+#
+# The least that time can tell of a facing, and what everything else over time has to beat. Each frame keeps its single
+# image's result, turned round where the sum of the network's log odds over the track says so.
+
+
+def vote(
+    track: Sequence[tuple[Reconstruction, Array | None]],
+) -> list[tuple[Reconstruction, Reconstruction]]:
+    """The results of one vehicle, turned round where the log odds of the frames so far, and of all, say so.
+
+    A frame's log odds are those of the half of all directions around the one that its result is seen from. From frame
+    to frame the vehicle turns by less than a quarter, so that results beyond that face the other way.
+
+    Args:
+        track: Each frame's result and the network's directions (A,), None where there are none, in the order of time.
+    """
+    results = [result for result, _ in track]
+    poses = np.array([result.camera_T_object for result in results])
+    azimuths = view_azimuth(poses[:, :3, :3], poses[:, :3, 3])
+    halves = [
+        0.5 if directions is None else facing_probability(directions, azimuth)
+        for (_, directions), azimuth in zip(track, azimuths.tolist(), strict=True)
+    ]
+    yaws = np.array([result.rotation_y for result in results])
+    other_way = np.cumsum(np.cos(np.diff(yaws, prepend=yaws[0])) < 0.0) % 2 == 1  # than the first result
+    way = np.where(other_way, -1.0, 1.0)
+    odds = way * logit(np.array(halves))
+    so_far, of_all = way * np.cumsum(odds) < 0.0, way * odds.sum() < 0.0
+    return [
+        (_turned(result) if now else result, _turned(result) if at_last else result)
+        for result, now, at_last in zip(results, so_far.tolist(), of_all.tolist(), strict=True)
+    ]
+
+
+def _turned(result: Reconstruction) -> Reconstruction:
+    """With a pose that is turned round, and its covariance along the axes of that."""
+    signs = np.tile(np.diag(HALF_TURN)[:3], 2)
+    spread = result.uncertainty.pose_covariance
+    covariance = None if spread is None else spread * np.outer(signs, signs)
+    return replace(
+        result,
+        pose=replace(result.pose, camera_T_object=result.camera_T_object @ HALF_TURN),
+        uncertainty=replace(result.uncertainty, pose_covariance=covariance),
+    )
+
 
 _Key = tuple[int, int]  # number of a frame, and position among its sightings; the first are those of the labelled boxes
 
@@ -254,7 +303,6 @@ def labelled_velocities(
     sides.
 
     Args:
-        drive: The drive.
         world_T_camera: (4, 4) poses of the camera by the number of the frame, for velocities over the world; between
             the labels none may be missing. None for velocities relative to the camera.
     """

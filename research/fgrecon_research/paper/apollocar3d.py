@@ -95,7 +95,6 @@ def read_apollocar3d(path: Path, models: Apollo79) -> MarkedCars:
     """Read the annotations and fit the height of each model's origin.
 
     Args:
-        path: `annotations.json`.
         models: The 79 models; a car's `cad_id` is their index.
 
     Raises:
@@ -127,11 +126,6 @@ def marking_offsets(cars: Sequence[MarkedCar], camera: Camera, category: Categor
 
     Robust least squares over the marks of all cars at their labelled poses, the same for a keypoint and, mirrored, for
     its mirror image. Over all cars, roof corners are marked 2 to 5 cm forward, 2 cm higher and 4 cm further inboard.
-
-    Args:
-        cars: Cars to learn from.
-        camera: The camera.
-        category: Names the mirror images.
 
     Returns:
         (14, 3) offsets in the object frame, metres; zero for a keypoint with fewer than `_ENOUGH` marks.
@@ -209,13 +203,7 @@ def _rotation(a: float, b: float, c: float) -> Array:
 
 
 def _metres_off(car: MarkedCar, camera: Camera, heights: Array) -> Array:
-    """(H, 14) distance of each mark from the labelled keypoint, metres at its depth; NaN where there is none.
-
-    Args:
-        car: The car.
-        camera: The camera.
-        heights: (H,) how far to move the car's origin down, metres.
-    """
+    """(H, 14) distance of each mark from the labelled keypoint, metres at its depth; NaN where there is none."""
     rotation, origin = car.camera_T_object[:3, :3], car.camera_T_object[:3, 3]
     points = car.shape @ rotation.T + origin + heights[:, None, None] * rotation[:, 1]
     pixels = np.linalg.norm(camera.project(points) - car.keypoints, axis=2)

@@ -74,9 +74,7 @@ def rank_models(
     """Solve every car from its marks and rank the models.
 
     Args:
-        cars: The cars.
         models: The 79 models; the prior of a car has not learnt from its own.
-        advance: Told how many cars are done, and how many there are.
     """
     library = car_models(models)
     ranks: dict[str, dict[str, int]] = {}

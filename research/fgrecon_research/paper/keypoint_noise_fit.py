@@ -131,10 +131,6 @@ def fit_noise_model(vehicles: Sequence[PosedVehicle], prior: ShapePrior) -> Nois
     Found keypoints are those within `OUTLIER` of the truth. Shares and spreads are the sample's; Beta distributions are
     fitted by moments, the lost keypoints' confidence by median and deviation of its logarithm. What such data does not
     show (confusions of a whole vehicle, covered vehicles) stays zero.
-
-    Args:
-        vehicles: At least one.
-        prior: A prior with a surface.
     """
     sets = [residuals(vehicle, prior) for vehicle in vehicles]
     errors, confidence, visible, places, nearest = (

@@ -90,10 +90,8 @@ def score_known_shapes(
     """Fit every car with a prior that knows neither it nor, where it has two names, its duplicate.
 
     Args:
-        cars: What to fit.
         models: The 79 models.
         workers: Number of processes; the result does not depend on it.
-        advance: Told how many cars are done, and how many there are.
     """
     groups = [[c for c in cars.cars if c.model == model] for model in sorted({car.model for car in cars.cars})]
     found: dict[str, _Result] = {}
@@ -212,7 +210,6 @@ def example_cars(cars: MarkedCars, models: Apollo79) -> tuple[ExampleCar, ...]:
     """Three cars each of the smallest, the median and the largest error of their keypoints in the camera frame.
 
     Args:
-        cars: The cars; all are solved. One that fails is left out.
         models: The 79 models.
     """
     found: list[tuple[float, ExampleCar]] = []

@@ -18,8 +18,7 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.options import KeypointOptions, Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.solve.pipeline import reconstruct
-from fgrecon_research.evaluation.calibration import Calibration, Judged, calibrate
-from fgrecon_research.evaluation.simulated_calibration import judge_known
+from fgrecon_research.evaluation.calibration import Calibration, Judged, calibrate, judge_known
 from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars
 from fgrecon_research.paper.known_shape import KNOWN_SHAPE_OPTIONS
 from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior
@@ -53,9 +52,7 @@ def calibrate_marked(
     """Fit the marks' noise to each half of the images, and judge the other half's results with it.
 
     Args:
-        cars: The cars.
         models: The 79 models.
-        advance: Told how many reconstructions are done, and how many there are.
 
     Raises:
         InvalidInputError: All cars are in one half of the images.

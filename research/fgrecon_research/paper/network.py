@@ -29,8 +29,7 @@ from fgrecon_research.paper.stages import StageEstimate, initial_state, noisy_az
 from fgrecon_research.paper.tables import APK_ALPHA, LABELS, PRINTED_APK, PRINTED_HAUSDORFF, Cell, Table
 from fgrecon_research.training.keypoints.evaluate import GROUPS, Scored, adjusted, score_marks
 from fgrecon_research.training.keypoints.marks import read_street_marks
-from fgrecon_research.training.keypoints.posed_cars import read_posed_cars
-from fgrecon_research.training.keypoints.progress import Progress, no_progress
+from fgrecon_research.training.keypoints.posed_cars import Progress, no_progress, read_posed_cars
 
 Array = NDArray[np.float64]
 
@@ -84,11 +83,8 @@ def adjust_marked(
     Cars on streets have KITTI's ground, fleet and kind of box; photographs their own camera and no more.
 
     Args:
-        scored: Cars as the network found them.
-        data: Folder of the data.
         keep_history: Whether to record every iteration.
         joint: Whether pose and shape move together; else the shape is solved at the proposal's pose.
-        progress: Shows how far it is.
     """
     prior, fleet, plane = load_prior("car14"), size_prior("kitti"), Ground.level(_CAMERA_HEIGHT)
     outline = Options(keep_history=keep_history, shape=ShapeOptions(joint=joint))
@@ -132,8 +128,6 @@ def score_network(data: Path, seed: int = 0, detector: KeypointCascade | None = 
     """Run the network, pose and shape on the marked cars of KITTI's images.
 
     Args:
-        data: Folder of the data.
-        seed: Seed of the initialisation's azimuths.
         detector: The network; None for that of the package.
 
     Raises:

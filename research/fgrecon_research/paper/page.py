@@ -52,12 +52,7 @@ def markdown(page: Page) -> str:
 
 
 def html(page: Page, pictures: Mapping[str, str] | None = None) -> str:
-    """One self-contained page.
-
-    Args:
-        page: What is shown.
-        pictures: SVG elements of cars by caption.
-    """
+    """One self-contained page."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -78,7 +73,7 @@ def _run(page: Page) -> list[str]:
     speed = page.throughput
     lines = [
         f"{machine['processor']}, {machine['cores']} cores, {machine['system']}, Python {machine['python']}; "
-        + ", ".join(f"{name} {version}" for name, version in versions.items() if version),
+        + ", ".join(f"{name} {version}" for name, version in versions.items()),
     ]
     if speed["instances"]:
         lines.append(

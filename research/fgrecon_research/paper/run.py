@@ -12,9 +12,8 @@ import numpy as np
 from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.io.kitti_files import Objects
 from fgrecon.io.track_file import Track, read_track
-from fgrecon_research.evaluation.kitti_devkit import evaluate
-from fgrecon_research.evaluation.kitti_overlap import Space
 from fgrecon_research.io.kitti_sets import count_defects, write_results
+from fgrecon_research.evaluation.kitti_devkit import Space, evaluate
 from fgrecon_research.paper.apollocar3d import CONSISTENT, FEWEST_MARKS, MarkedCars, read_apollocar3d
 from fgrecon_research.paper.claims import Claim, claims
 from fgrecon_research.paper.keypoint_noise_fit import Residuals, read_vehicle, residuals

@@ -93,7 +93,6 @@ def read_validation(folder: Path, image_set: str = "val") -> Validation:
 
     Args:
         folder: Has `ImageSets`, `training/label_2`, `training/calib` and `detections_2d/rgb_detection_<set>.txt`.
-        image_set: Name of the image set.
 
     Raises:
         InvalidInputError: The image set, the detections or a camera cannot be read.
@@ -158,11 +157,7 @@ def run_conditions(
     A whole run takes over the parts of one that took every so many-th part of what a condition takes.
 
     Args:
-        validation: Frames.
-        conditions: What to run.
-        models: Car models to draw from.
         settings: What the methods know, where parts are stored, and how much is run.
-        advance: Told condition, parts done and parts in all.
 
     Returns:
         Outcomes by the conditions' names.

@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.metrics import (
-    hausdorff_distance,
-    keypoint_error,
-    orientation_error,
-    translation_error,
-)
+from fgrecon.core.metrics import hausdorff_distance, keypoint_error, orientation_error, translation_error
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.robust import StrategyName
@@ -105,13 +100,7 @@ RowSolver = Callable[[SimulatedInstance], Mapping[str, StageEstimate]]
 
 
 def row_solvers(rows: Sequence[str], scene: SceneKnowledge, seed: int) -> tuple[RowSolver, ...]:
-    """What fills the rows; each solver fills one row or several.
-
-    Args:
-        rows: Names from `MAIN_ROWS`, `CHAIN_ROWS`, or the registry of methods.
-        scene: What is known: prior, ground and fleet.
-        seed: Seed of the initialisation's azimuths.
-    """
+    """What fills the rows; each solver fills one row or several."""
     model = prepare(scene.prior, scene.size)
     kitti = Options(box=BoxModel.CUBOID)
     paper = Options(box=BoxModel.CUBOID, strategy=StrategyName.PAPER)
@@ -169,9 +158,7 @@ def score_instances(
     """Run every solver on every instance with a detection.
 
     Args:
-        instances: Any number.
         rows: Rows, in the order of the arrays.
-        solvers: What fills them.
         mean: (K, 3) the mean shape.
     """
     count, size = len(instances), len(mean)

@@ -49,15 +49,7 @@ def measure(
     settings: PaperSettings,
     advance: Callable[[str, int, int], None] = lambda *_: None,
 ) -> Measured:
-    """Measure everything.
-
-    Args:
-        tracks: Real tracks with a network's keypoints.
-        images: Cars marked by hand, as tracks of one frame.
-        instances: Simulated instances to take the time on.
-        settings: Data, seed, and what the methods know.
-        advance: Told the step, how much of it is done, and how much there is.
-    """
+    """Measure everything."""
     step, scene, seed = "real keypoints, run times", settings.scene, settings.seed
     with one_thread_each(), ProcessPoolExecutor(1, get_context("spawn")) as alone:
         by_hand = [alone.submit(_real_table, *_REAL_TRACKS, tracks, scene)]

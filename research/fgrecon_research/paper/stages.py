@@ -51,11 +51,7 @@ def stages(
     """State after each stage: `pose`, `shape` (pose fixed: solved one after the other) and `joint` (both together).
 
     Args:
-        observation: Keypoints.
-        camera: Camera.
-        scene: Prior and fleet.
         ground: Ground plane, or None.
-        options: Settings; the history is kept whatever they say.
 
     Raises:
         InvalidInputError: Something given cannot be used.
@@ -76,9 +72,7 @@ def solved_stages(
     """The states after each stage: `pose`, `shape` (pose fixed) and `joint`, which by default are two solves.
 
     Args:
-        solve: Solves with the settings that it is given.
         options: Settings; they must keep the history.
-        category: The vehicle's category.
     """
     if not options.keep_history:
         raise ValueError("The stages are read from the history: keep it.")

@@ -24,7 +24,6 @@ def calibration_picture(regions: Sequence[Coverage], facing: Reliability | None)
     alone.
 
     Args:
-        regions: Of each quantity.
         facing: Reliability of the facing; None leaves it out.
 
     Returns:

@@ -28,7 +28,6 @@ def label_sheet(
     Args:
         labels: Where the names and the skeleton of the keypoints are.
         cells: The vehicles to draw, each with its image (H, W, 3), in the order of reading.
-        columns: Cells in a row.
 
     Returns:
         A `matplotlib.figure.Figure` with an Agg canvas.

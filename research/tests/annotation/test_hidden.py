@@ -5,7 +5,7 @@ import pytest
 
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.errors import InvalidInputError
-from fgrecon_research.annotation.hidden import Solid, hidden_behind, solid_of
+from fgrecon_research.annotation.annotation import Solid, hidden_behind, solid_of
 
 SIZE = np.array([4.0, 1.7, 1.5])
 

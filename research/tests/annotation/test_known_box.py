@@ -12,7 +12,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.simulation.keypoint_noise import HOURGLASS, Twins
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
-from fgrecon_research.annotation.fit import Fit
+from fgrecon_research.annotation.annotation import Fit
 from fgrecon_research.annotation.known_box import BoxedView, KnownBoxOptions, fit_known_boxes
 
 POSES = [yaw_pose(yaw, np.array([x, 1.65, z])) for yaw, x, z in ((1.2, -3, 14), (1.1, -2.5, 12), (0.9, -2.0, 10))]

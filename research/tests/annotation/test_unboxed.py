@@ -11,7 +11,7 @@ from fgrecon.core.half_turn import partners
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.simulation.vehicles import KITTI_CAMERA
 from fgrecon_research.annotation.annotate import LeftOut, Reason, annotate
-from fgrecon_research.annotation.fit import Fit
+from fgrecon_research.annotation.annotation import Fit
 from fgrecon_research.annotation.unboxed import Unboxed, fit_unboxed
 from research.tests.annotation.streets import Car, Told, directions, write_drive
 from tests.cars import observe, project, yaw_pose

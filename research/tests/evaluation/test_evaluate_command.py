@@ -17,7 +17,7 @@ from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.track_file import read_track
 from fgrecon.viz import replay
-from fgrecon_research.evaluation import methods, report
+from fgrecon_research.evaluation import report
 from fgrecon_research.evaluation.methods import select
 from fgrecon_research.evaluation.run import score_tracks
 
@@ -58,17 +58,6 @@ def test_json_on_the_output_stands_alone(track):
     assert settings["ground"]["distance_m"] == 1.5
     assert settings["size_prior"]["mean_m"] == [4.2, 1.7, 1.5]
     assert "sqpnp_confident+size" in result.stderr
-
-
-def test_what_is_not_installed_is_left_out_with_a_line(track, monkeypatch):
-    monkeypatch.setattr(methods, "find_spec", lambda package: None)
-    result = run(track)
-    assert result.exit_code == 0, result.output
-    assert "poselib_ransac, poselib_ransac+size. Run: pip install fgrecon-research" in result.stdout
-    assert "│ poselib" not in result.stdout
-    named = run(track, "--method", "poselib_ransac")
-    assert isinstance(named.exception, InvalidInputError)
-    assert "fgrecon-research" in named.exception.fix
 
 
 def test_the_table_fits_a_narrow_terminal(track):

@@ -9,8 +9,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.solve.vehicle.conditioning import of_fleet
-from fgrecon_research.evaluation import methods
-from fgrecon_research.evaluation.methods import METHODS, left_out, select
+from fgrecon_research.evaluation.methods import METHODS, select
 from tests.made_up_track import K, pose_of
 
 BASELINES = ("epnp", "sqpnp", "sqpnp_confident", "poselib_ransac", "aspnp")
@@ -34,15 +33,6 @@ def test_selection_keeps_the_order_given_and_drops_repetitions():
     assert select() == tuple(METHODS.values())
     with pytest.raises(InvalidInputError, match="fgrecon\\+ground\\+size"):
         select(["upnp"])
-
-
-def test_a_baseline_that_is_not_installed_is_left_out_unless_it_is_named(monkeypatch):
-    assert left_out() == ()
-    monkeypatch.setattr(methods, "find_spec", lambda package: None)
-    assert left_out() == ("poselib_ransac", "poselib_ransac+size")
-    assert [method.name for method in select()] == [name for name in METHODS if not name.startswith("poselib")]
-    with pytest.raises(InvalidInputError, match=r"poselib is not installed.*pip install fgrecon-research"):
-        select(["poselib_ransac+size"])
 
 
 @pytest.mark.parametrize("suffix", ["", "+size"])

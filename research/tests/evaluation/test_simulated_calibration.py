@@ -7,8 +7,7 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.size_prior import size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.vehicle.model import prepare
-from fgrecon_research.evaluation.calibration import calibrate
-from fgrecon_research.evaluation.simulated_calibration import judge_simulated
+from fgrecon_research.evaluation.calibration import calibrate, judge_simulated
 
 
 @pytest.mark.parametrize("name", ["kitti", "apollo79"])

@@ -5,7 +5,7 @@ import pytest
 
 import fgrecon
 from fgrecon.core.geometry import position_covariance
-from fgrecon_research.evaluation.video_vote import vote
+from fgrecon_research.evaluation.video_tracks import vote
 from tests.made_up_track import K, pose_of
 from tests.results import changed
 

@@ -10,8 +10,13 @@ from fgrecon.cli.main import app
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
-from fgrecon_research.paper.icra2017 import evaluate_icra2017, true_pose, with_sizes
-from fgrecon_research.paper.icra2017_release import import_icra2017, load_icra2017_example
+from fgrecon_research.paper.icra2017 import (
+    evaluate_icra2017,
+    import_icra2017,
+    load_icra2017_example,
+    true_pose,
+    with_sizes,
+)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category
-from fgrecon_research.paper.icra2017_release import (
+from fgrecon_research.paper.icra2017 import (
     AVERAGE_CAR,
     import_icra2017,
     load_icra2017_example,

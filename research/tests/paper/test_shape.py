@@ -14,8 +14,18 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options, ShapeOptions
 from fgrecon.core.robust import StrategyName
 from fgrecon_research.evaluation.methods import select
-from fgrecon_research.paper.ablation import BIAS, STRATEGIES, score_strategies, unsymmetrised_prior, variants
-from fgrecon_research.paper.shape import STAGES, change, held_out, score_shape, simulate_views
+from fgrecon_research.paper.shape import (
+    BIAS,
+    STAGES,
+    STRATEGIES,
+    change,
+    held_out,
+    score_shape,
+    score_strategies,
+    simulate_views,
+    unsymmetrised_prior,
+    variants,
+)
 from fgrecon_research.training.priors.apollo79 import DUPLICATE, apollo79_prior, load_apollo79
 
 pytestmark = pytest.mark.data

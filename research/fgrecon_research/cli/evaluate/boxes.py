@@ -98,11 +98,7 @@ def boxes_command(
 
 
 def _drives(folder: Path, following: Sequence[str]) -> tuple[list[Drive], list[str]]:
-    """The drives, and the texts behind them.
-
-    Raises:
-        InvalidInputError: A drive cannot be read, two have one name, or nothing follows them.
-    """
+    """The drives, and the texts behind them."""
     from fgrecon.calibration.labelled_drives import check_names
     from fgrecon.core.errors import InvalidInputError
     from fgrecon.io.kitti_drives import has_labels, read_images
@@ -116,11 +112,7 @@ def _drives(folder: Path, following: Sequence[str]) -> tuple[list[Drive], list[s
 
 
 def _sources(texts: Sequence[str], drives: Sequence[Drive]) -> dict[str, dict[str, dict[int, Objects]]]:
-    """Boxes by the source's name, the drive's and the frame.
-
-    Raises:
-        InvalidInputError: Two sources have one name, or one cannot be read.
-    """
+    """Boxes by the source's name, the drive's and the frame."""
     from fgrecon.core.errors import InvalidInputError
     from fgrecon_research.evaluation.boxes3d import read_boxes_of_drives
 

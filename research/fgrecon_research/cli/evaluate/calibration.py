@@ -48,8 +48,12 @@ def calibration_command(
     """
     from fgrecon.calibration.labelled_boxes import SYSTEM
     from fgrecon.core.errors import InvalidInputError
-    from fgrecon_research.evaluation.calibration import calibrate, calibrate_boxes, calibration_document
-    from fgrecon_research.evaluation.simulated_calibration import judge_simulated
+    from fgrecon_research.evaluation.calibration import (
+        calibrate,
+        calibrate_boxes,
+        calibration_document,
+        judge_simulated,
+    )
     from fgrecon_research.evaluation.video_tracks import BATCH, ONLINE
 
     check_outputs(json_out, picture=picture)

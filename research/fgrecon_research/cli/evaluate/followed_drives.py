@@ -31,11 +31,7 @@ def score_drives(
     """Reconstruct the labelled boxes that count, follow them if that is wanted, and score.
 
     Args:
-        how: How they are reconstructed.
-        folders: Of the drives.
-        labelled: What is told.
         screen: Where progress is shown.
-        rivals: Methods that get the same keypoints.
         track: Whether the vehicles are followed as well.
         forget_ids: Whether the vehicles that are followed are given ids anew; detected ones have none.
         estimate_motion: Whether they are followed with the camera's estimated motion as well.

@@ -116,8 +116,8 @@ def kitti_command(
     from fgrecon.viz.delivery import recordings_of
     from fgrecon_research.evaluation import kitti_images
     from fgrecon_research.evaluation.boxes_summary import plain_boxes, tables
-    from fgrecon_research.evaluation.kitti_boxes import score_boxes
     from fgrecon_research.io.kitti_sets import read_image_set, write_results
+    from fgrecon_research.evaluation.kitti_images import score_boxes
 
     check_outputs(json_out, markdown, picture=picture)
     delivery.check()

@@ -63,7 +63,7 @@ def tracks_command(
     from fgrecon.io.track_file import read_track
     from fgrecon_research.cli.evaluate import recording as evaluate_recording
     from fgrecon_research.evaluation import report
-    from fgrecon_research.evaluation.methods import left_out, select
+    from fgrecon_research.evaluation.methods import select
     from fgrecon_research.evaluation.run import score_tracks
 
     check_outputs(json_out, markdown, per_frame)
@@ -79,8 +79,6 @@ def tracks_command(
         scores = score_tracks(tracks, methods, scene, counting(advance, "Frames", total))
     table = report.table(scores, narrow=screen.console.width < _WIDE)
     screen.print(table, f"+ground: {origin}. +size: {_in_words(scene.size)}.")
-    if not method and (missing := left_out()):
-        screen.print(f"Not installed, so left out: {', '.join(missing)}. Run: pip install fgrecon-research")
     _print_failures(scores, screen)
     named = list(zip(map(str, files), tracks, strict=True))
     screen.write_json(report.to_json(report.document(scores, named, scene, {"ground": origin})))

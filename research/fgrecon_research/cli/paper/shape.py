@@ -19,8 +19,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.cli.terminal import Screen
     from fgrecon.core.camera import Ground
     from fgrecon.core.shape_prior import ShapePrior
-    from fgrecon_research.paper.ablation import StrategyScore
-    from fgrecon_research.paper.shape import SimulatedView, StageScore
+    from fgrecon_research.paper.shape import SimulatedView, StageScore, StrategyScore
     from fgrecon_research.training.priors.apollo79 import Apollo79
 
 FORMAT = "fgrecon_research.evaluation.shape/1"
@@ -97,16 +96,16 @@ def _ablated(
     """Numbers and tables of energies without each term, with two priors, and of robust strategies."""
     from fgrecon.core.options import Options
     from fgrecon.core.size_prior import SIZE_PRIORS
-    from fgrecon_research.paper import ablation
+    from fgrecon_research.paper import shape
 
     size, options = SIZE_PRIORS["apollo79"], Options()
-    total = 2 * len(ablation.variants(options)) + len(ablation.STRATEGIES)
+    total = 2 * len(shape.variants(options)) + len(shape.STRATEGIES)
     with screen.bar(per_minute=True) as advance:
         tell = counting(advance, "Energies and strategies", total)
-        symmetric = ablation.ablate(views, prior, options, ground=ground, size=size, advance=tell)
-        loose_prior = ablation.unsymmetrised_prior(models, names, seed=seed)
-        loose = ablation.ablate(views, loose_prior, options, ground=ground, size=size, advance=tell)
-        strategies = ablation.score_strategies(harder, prior, options, ground=ground, size=size, advance=tell)
+        symmetric = shape.ablate(views, prior, options, ground=ground, size=size, advance=tell)
+        loose_prior = shape.unsymmetrised_prior(models, names, seed=seed)
+        loose = shape.ablate(views, loose_prior, options, ground=ground, size=size, advance=tell)
+        strategies = shape.score_strategies(harder, prior, options, ground=ground, size=size, advance=tell)
     numbers = {
         "ablation": {name: _plain(row) for name, row in symmetric.items()},
         "ablation_unsymmetrised": {name: _plain(row) for name, row in loose.items()},
@@ -142,7 +141,7 @@ def _ablation_table(title: str, variants: Mapping[str, Mapping[str, StageScore]]
     import numpy as np
 
     from fgrecon_research.evaluation.bootstrap import mean_interval
-    from fgrecon_research.paper.ablation import DEFAULT
+    from fgrecon_research.paper.shape import DEFAULT
 
     costs = "cost cm² (95 %)"
     heads = ["energy", "true pose cm", "RMS cm", costs, "joint cm", "RMS cm", costs, "joint inliers px"]

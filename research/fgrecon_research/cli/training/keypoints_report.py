@@ -136,7 +136,6 @@ class TrainingDisplay:
 
         Args:
             screen: Where lines go.
-            advance: The bars.
         """
         self._screen, self._advance, self._heading = screen, advance, "Training"
 

@@ -76,11 +76,7 @@ class UnboxedOptions:
 
 
 def _check_tracked(folders: list[Path], known: Unboxed | None) -> None:
-    """Refuse a tracker's results that fit no drive, or of whose vehicles nothing is known.
-
-    Raises:
-        InvalidInputError: There are several drives, or neither the ground nor sizes are told.
-    """
+    """Refuse a tracker's results that fit no drive, or of whose vehicles nothing is known."""
     if len(folders) > 1:
         raise InvalidInputError("--tracks", f"{len(folders)} drives", "Give one drive: the file is of one.")
     if known is None:

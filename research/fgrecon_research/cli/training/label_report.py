@@ -29,7 +29,7 @@ from fgrecon_research.annotation.annotation import Annotation
 from fgrecon_research.annotation.labels import vehicle_labels
 from fgrecon_research.annotation.unboxed import Unboxed
 from fgrecon_research.io.coco_keypoints import VehicleLabel, VehicleLabels, write_coco_keypoints
-from fgrecon_research.training.keypoints.progress import Progress
+from fgrecon_research.training.keypoints.posed_cars import Progress
 
 _DRAWN = 24  # vehicles of a picture, at most
 _TERMS = (
@@ -88,10 +88,7 @@ def label_street(drives: Sequence[Path], network: Path, out: Path, watch: Progre
     """Label the street cars that a training learns from.
 
     Args:
-        drives: Their folders.
-        network: File of the network that finds their keypoints.
         out: The file to write (COCO).
-        watch: Shows how far it is.
 
     Raises:
         InvalidInputError: A folder is no drive, or no vehicle could be labelled.

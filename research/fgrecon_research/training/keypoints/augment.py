@@ -17,9 +17,16 @@ from numpy.typing import NDArray
 
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.perception.keypoints.crops import FILL, MARGIN
-from fgrecon_research.training.keypoints.deform import Field, deform, deform_points, move_points, random_field
-from fgrecon_research.training.keypoints.labelled_view import LabelledView
-from fgrecon_research.training.keypoints.raise_cabin import belt_of, raise_cabin
+from fgrecon_research.training.keypoints.deform import (
+    Field,
+    LabelledView,
+    belt_of,
+    deform,
+    deform_points,
+    move_points,
+    raise_cabin,
+    random_field,
+)
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
@@ -94,11 +101,9 @@ class Street:
         """Make one sample.
 
         Args:
-            view: The car.
             another: Draws another photograph, for backgrounds and occluders; one seen from about an azimuth where that
                 is given.
             partner: (K,) index of each keypoint's mirror image.
-            rng: Source of randomness.
         """
         if rng.random() < 0.5:
             view = view.mirrored(partner)
@@ -283,16 +288,7 @@ def _warp(pixels: Pixels, matrix: Array, size: int) -> Pixels:
 
 
 def _closer(seen: Pixels, centre: Array, extent: float) -> Array | None:
-    """(2, 3) map from a crop by a whole car's box to one by the box of what is seen, jittered alike.
-
-    Args:
-        seen: (S, S) above 127 on what is seen.
-        centre: (2,) of the whole car's box, pixels of the crop.
-        extent: Longer side of it.
-
-    Returns:
-        None where both boxes are about the same, or too little is seen.
-    """
+    """(2, 3) map from a crop by a whole car's box to one by the box of what is seen, jittered alike."""
     rows, columns = np.nonzero(seen > 127)
     if not len(rows):
         return None

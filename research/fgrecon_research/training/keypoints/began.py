@@ -21,10 +21,6 @@ _DIGITS = 16  # of a hash: enough to tell inputs apart
 def begin_alike(path: Path, named: Mapping[str, Any]) -> None:
     """Keep what a training began with; one that goes on has to name the same, since its networks come from that.
 
-    Args:
-        path: JSON file in the training's folder; made if missing.
-        named: Settings, and hashes of the inputs.
-
     Raises:
         InvalidInputError: It names something else; tells what.
     """

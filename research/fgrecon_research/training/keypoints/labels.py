@@ -19,8 +19,7 @@ from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.io.catalogue import load_category
 from fgrecon.solve.vehicle.visibility import clearance, probability
 from fgrecon_research.training.keypoints.posed_cars import PosedCar
-from fgrecon_research.training.priors.apollo79 import Apollo79
-from fgrecon_research.training.priors.half_mesh import mirrored_half
+from fgrecon_research.training.priors.apollo79 import Apollo79, mirrored_half
 
 Array = NDArray[np.float64]
 
@@ -61,10 +60,6 @@ def unit_prior(models: Apollo79, basis: int = 10) -> ShapePrior:
 
     Every model is centred at the middle of its box and scaled to a diagonal of one. Surface and keypoints share the
     coefficients; both are symmetric.
-
-    Args:
-        models: The car models.
-        basis: Number of components.
     """
     mesh = mirrored_half((models.vertices + models.mirrored) / 2, models.faces)
     low, high = mesh.vertices.min(axis=1), mesh.vertices.max(axis=1)
@@ -106,7 +101,6 @@ def fit_shape(prior: ShapePrior, cars: Sequence[PosedCar]) -> ShapeFit:
 
     Args:
         prior: Model with a surface, from `unit_prior`.
-        cars: Photographs of one shape.
     """
     surface = surface_of(prior)
     rotation, translation, matrix = (

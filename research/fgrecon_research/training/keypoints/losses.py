@@ -22,8 +22,6 @@ def gaussian_maps(points: Any, side: int, stride: float, sigma: float) -> Any:
 
     Args:
         points: Pixels; the centre of cell i is at (i + 0.5) * stride - 0.5.
-        side: Cells along each side.
-        stride: Pixels per cell.
         sigma: Standard deviation, pixels.
     """
     cells = (torch.arange(side, device=points.device) + 0.5) * stride - 0.5
@@ -42,7 +40,6 @@ def knet_loss(output: KNetOutput, points: Any, visible: Any, azimuth: Any, sigma
     """The parts of KNet's loss, and their weighted sum as `total`.
 
     Args:
-        output: Of B crops.
         points: (B, K, 2) pixels of the crop; NaN where unknown: these keypoints do not count.
         visible: (B, K) probability of being seen.
         azimuth: (B,) radians.

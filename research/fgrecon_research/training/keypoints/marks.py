@@ -36,11 +36,6 @@ class Mark:
 def read_photograph_marks(path: Path, images: Path, size: int = 14) -> list[Mark]:
     """Marks on photographs that show one car each and are cropped to it.
 
-    Args:
-        path: JSON file.
-        images: Folder of the photographs.
-        size: Number K of keypoints.
-
     Raises:
         InvalidInputError: The file is malformed; names the field.
     """
@@ -55,11 +50,6 @@ def read_photograph_marks(path: Path, images: Path, size: int = 14) -> list[Mark
 
 def read_street_marks(path: Path, images: Path, size: int = 14) -> list[Mark]:
     """Marks on the cars of street images; the name is `frame/line of the label file`.
-
-    Args:
-        path: JSON file.
-        images: Folder of the images.
-        size: Number K of keypoints.
 
     Raises:
         InvalidInputError: The file is malformed; names the field.
@@ -78,8 +68,6 @@ def read_given_marks(path: Path, images: Sequence[str], category: Category) -> A
 
     Args:
         path: JSON file: a list of `{"image": NAME, "keypoints": {NAME: [u, v], ...}}`.
-        images: Names of the M photographs that may be marked.
-        category: Names the keypoints.
 
     Returns:
         (M, K, 2) pixels; NaN where nothing is marked.

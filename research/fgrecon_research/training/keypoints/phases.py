@@ -22,7 +22,7 @@ from fgrecon.perception.keypoints.weights import WITHOUT_STREET
 from fgrecon_research.io.coco_keypoints import read_coco_keypoints
 from fgrecon_research.training.keypoints.began import different, file_hash, files_hash, text_hash
 from fgrecon_research.training.keypoints.networks import Beginning, Display, photographs_hash, train_networks
-from fgrecon_research.training.keypoints.progress import Progress
+from fgrecon_research.training.keypoints.posed_cars import Progress
 from fgrecon_research.training.keypoints.settings import Phase, TrainingSettings
 from fgrecon_research.training.keypoints.street_cars import check_drives
 from fgrecon_research.training.keypoints.tensors import load_tensors
@@ -41,13 +41,9 @@ def train_phases(
     """Run the phases, and write the last network; beside it the last one that has seen no street.
 
     Args:
-        settings: The phases.
-        data: Data folder.
-        work: Folder for everything in between; made if missing.
         out: The file to write, `X.safetensors`; the network of before the first phase with street cars goes to
             `X-photographs.safetensors`.
         label: Labels street cars where a phase names drives.
-        display: Shows how it goes.
 
     Returns:
         The files that were written.
@@ -87,12 +83,7 @@ class _Chain:
     done: tuple[Mapping[str, Any], ...] = ()  # records of the phases so far
 
     def run(self, phase: Phase, before: Path | None) -> Path:
-        """The phase's network, trained, taken over or as given.
-
-        Args:
-            phase: The next phase.
-            before: The network that it goes on from, or None.
-        """
+        """The phase's network, trained, taken over or as given."""
         if phase.trained is not None:
             record = {"name": phase.name, "trained": phase.trained.name, "hash": file_hash(phase.trained)}
             self.done = (*self.done, record)
@@ -191,11 +182,7 @@ def _record(phase: Phase, beginning: Beginning, left: Sequence[str]) -> dict[str
 
 
 def _taken_over(finished: Path, wanted: Mapping[str, Any], network: Path) -> bool:
-    """Whether a phase is finished.
-
-    Raises:
-        InvalidInputError: It was run otherwise.
-    """
+    """Whether a phase is finished."""
     if not finished.exists():
         return False
     kept = read_json(finished)
@@ -219,11 +206,7 @@ def _labels_hash(drive: Path) -> str:
 
 
 def _check(settings: TrainingSettings, phases: Sequence[Phase], data: Path) -> None:
-    """Refuse what would fail hours later.
-
-    Raises:
-        InvalidInputError: An input is missing, or a drive to leave out is unknown.
-    """
+    """Refuse what would fail hours later."""
     trained = [phase for phase in phases if phase.trained is None]
     begins = phases[0].trained is None
     used = {

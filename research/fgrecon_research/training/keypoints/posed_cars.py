@@ -6,9 +6,10 @@ relative to a 3D model of the car whose box is centred at the origin and has a d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.io.json_fields import Fields, read_json
+
+Progress = Callable[[Sequence[Any], str], Iterable[Any]]
+"""Goes through the items of a loop and shows, under a description, how many are done."""
+
+
+def no_progress(items: Sequence[Any], _description: str) -> Iterable[Any]:
+    """Goes through the items and shows nothing."""
+    return items
 
 
 @dataclass(frozen=True)

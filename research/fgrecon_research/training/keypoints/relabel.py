@@ -85,9 +85,6 @@ def relabel_shape(
 
     Args:
         prior: Model of the shapes, in the unit of the poses.
-        cars: The photographs with their measured poses.
-        start: The shape so far.
-        found: What the network found in them.
         outlined: (M,) which poses were corrected by a silhouette and are surer for that; where there are any, the shape
             that it starts from is the silhouettes', and what is found may only correct it.
         known: (K,) about which keypoints of it the shape so far tells; others may be anywhere along the car.
@@ -144,15 +141,7 @@ def relabel_shape(
 def _shape_graph(
     prior: ShapePrior, shape: LinearShape, start: ShapeFit, free: NDArray[np.bool_], *, outlined: bool
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """The terms of the shape alone, and its first values.
-
-    Args:
-        prior: Model of the shapes.
-        shape: The shape in terms of the graph's variables.
-        start: The shape so far.
-        free: (K,) which keypoints may be anywhere along the car.
-        outlined: Whether silhouettes have found the shape so far.
-    """
+    """The terms of the shape alone, and its first values."""
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     if outlined:
         noise = gtsam.noiseModel.Isotropic.Sigma(prior.dimension, _OUTLINED_SIGMA)
@@ -192,11 +181,7 @@ def without_bias(
     with a Huber loss, to what was found in photographs of known shape and pose, and taken off again in all.
 
     Args:
-        prior: Model of the shapes.
-        cars: M photographs with their poses.
-        fits: The shape of each.
         sure: (M, K) in which of them shape and pose can be relied on for a keypoint.
-        found: What the network found in them.
     """
     points = np.array([prior.keypoints(fit.coefficients, fit.offsets) for fit in fits])
     rotation, translation = np.array([c.rotation for c in cars]), np.array([c.translation for c in cars])

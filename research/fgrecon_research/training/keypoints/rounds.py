@@ -22,7 +22,6 @@ from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, save_weights
 from fgrecon_research.training.keypoints.began import begin_alike, file_hash, files_hash, source_hash, state_hash
-from fgrecon_research.training.keypoints.checkpoint import load_checkpoint
 from fgrecon_research.training.keypoints.dataset import Photographs
 from fgrecon_research.training.keypoints.labelling import (
     Labelling,
@@ -31,12 +30,11 @@ from fgrecon_research.training.keypoints.labelling import (
     first_labelling,
     open_photographs,
 )
-from fgrecon_research.training.keypoints.progress import Progress, no_progress
+from fgrecon_research.training.keypoints.posed_cars import Progress, no_progress
 from fgrecon_research.training.keypoints.street_cars import StreetShare, learning
 from fgrecon_research.training.keypoints.tensors import load_tensors
-from fgrecon_research.training.keypoints.train import Training, train_knet
-from fgrecon_research.training.keypoints.trainer import TrainingProgress
-from fgrecon_research.training.keypoints.validate import HeldOut
+from fgrecon_research.training.keypoints.train import HeldOut, Training, train_knet
+from fgrecon_research.training.keypoints.trainer import TrainingProgress, load_checkpoint
 
 Array = NDArray[np.float64]
 
@@ -60,18 +58,10 @@ def train_in_rounds(
     """Train KNet, correcting the labels at given steps.
 
     Args:
-        source: What to learn from.
         folder: Where everything is kept; goes on from what is there.
-        how: Settings of the training.
         relabel_at: Steps after which the labels are corrected, in rising order.
-        imagenet: Weights to start the encoder from.
         start: A trained network to go on from instead, which corrects the first labels as well.
         silhouettes: Folder of silhouettes for the first labels, as `first_labelling` reads them.
-        device: Torch's name of the device.
-        report: Called with the progress.
-        log: Called with a line about what begins.
-        progress: Shows how far every other loop that takes long has come.
-        street: Street cars that are learnt from beside the photographs.
         common: Where what depends on `source`, `silhouettes` and `start` alone is kept; None is `folder`.
 
     Returns:

@@ -25,7 +25,6 @@ from fgrecon_research.training.keypoints.posed_cars import PosedCar, groups
 _MODEL = "/models/medium"
 _TRAINED_SIDE = 1024
 _MIDDLE, _SPREAD = 128.0, 256.0  # of the network's pixel values
-_INSTALL = "Run pip install fgrecon-research."
 _FIX = "Give the unpacked folder of the npm package @imgly/background-removal-data 1.4.5."
 
 
@@ -50,17 +49,14 @@ def resized(model: bytes, side: int) -> bytes:
     """The network for images of side x side instead of 1024 x 1024, with its finest output alone.
 
     Args:
-        model: ONNX file.
         side: A multiple of 32.
 
     Raises:
-        InvalidInputError: The side is not, or the package `onnx` is not installed.
+        InvalidInputError: The side is not.
     """
-    try:
-        import onnx
-        from onnx import numpy_helper
-    except ImportError as error:
-        raise InvalidInputError("onnx", "not installed", _INSTALL) from error
+    import onnx
+    from onnx import numpy_helper
+
     if side < 32 or side % 32:
         raise InvalidInputError("side", side, "Give a multiple of 32.")
     graph = (loaded := onnx.load_model_from_string(model)).graph
@@ -112,22 +108,16 @@ def draw_silhouettes(
     """Write a grey image per photograph, NAME.png, white on the car; those that are there are left.
 
     Args:
-        cars: The photographs.
-        package: Unpacked npm package.
-        out: Folder; made if missing.
         side: Side of the network's input, pixels.
-        report: Wraps the photographs, to show progress.
 
     Returns:
         How many were drawn.
 
     Raises:
-        InvalidInputError: The npm package or a photograph cannot be read, or a Python package is not installed.
+        InvalidInputError: The npm package or a photograph cannot be read.
     """
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise InvalidInputError("onnxruntime", "not installed", _INSTALL) from error
+    import onnxruntime
+
     out.mkdir(parents=True, exist_ok=True)
     missing = [car for car in cars if not car.silhouette(out).exists()]
     if not missing:

@@ -119,9 +119,6 @@ class TrainingSettings:
     def with_trained(self, networks: Mapping[str, Path]) -> TrainingSettings:
         """The same with trained networks in the place of some phases.
 
-        Args:
-            networks: Their files by the names of the phases.
-
         Raises:
             InvalidInputError: There is no phase of a name.
         """

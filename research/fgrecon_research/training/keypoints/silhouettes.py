@@ -126,7 +126,6 @@ def read_outline(path: Path, size: tuple[int, int]) -> Outline | None:
     """The silhouette in a grey image file as large as the photograph; None without one, or if it is empty.
 
     Args:
-        path: The file.
         size: (width, height) of the photograph, pixels.
 
     Raises:
@@ -142,9 +141,7 @@ def fit_outlines(
 
     Args:
         prior: Model with a surface, from `unit_prior`.
-        cars: Photographs of one shape.
         outlines: Their silhouettes, None where there is none.
-        start: The shape so far.
     """
     surface = surface_of(prior)
     vertices = surface.vertices(start.coefficients)

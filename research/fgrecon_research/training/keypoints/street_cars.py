@@ -18,8 +18,8 @@ from fgrecon.io.integrity import MADE_AGAIN
 from fgrecon.perception.keypoints.crops import Crop, extract
 from fgrecon_research.io.coco_keypoints import read_coco_keypoints
 from fgrecon_research.training.keypoints.dataset import SIDE, Photographs
-from fgrecon_research.training.keypoints.labelled_view import LabelledView
-from fgrecon_research.training.keypoints.progress import Progress, no_progress
+from fgrecon_research.training.keypoints.deform import LabelledView
+from fgrecon_research.training.keypoints.posed_cars import Progress, no_progress
 from fgrecon_research.training.keypoints.views import Together, TrainingSet, Views, azimuth_weights
 
 _AROUND = 1.5  # side of what is kept relative to the box's longer side
@@ -146,9 +146,7 @@ def prepare_street_cars(file: Path, folder: Path, progress: Progress = no_progre
     """Cut the cars out of their images, with what is around them (0.15 MB a car).
 
     Args:
-        file: What `fgrecon keypoints label` wrote.
         folder: Where to write; made if missing.
-        progress: Shows how far it is.
 
     Raises:
         InvalidInputError: The file is malformed, holds no vehicle, or an image cannot be read.

@@ -35,8 +35,6 @@ def mean_state(first: Mapping[str, Any], second: Mapping[str, Any], share: float
     (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
 
     Args:
-        first: Tensors by name.
-        second: The same, trained on from them.
         share: From 0 to 1.
     """
     return {

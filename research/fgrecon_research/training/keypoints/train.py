@@ -13,13 +13,16 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader, Dataset
 
-from fgrecon.perception.keypoints.layout import KNetSettings
-from fgrecon_research.training.keypoints.augment import Street
+from fgrecon.perception.keypoints.crops import MARGIN
+from fgrecon.perception.keypoints.detect import REACH
+from fgrecon.perception.keypoints.layout import STRIDE, KNetSettings
+from fgrecon_research.training.keypoints.augment import Sample, Street
+from fgrecon_research.training.keypoints.dataset import Photographs
 from fgrecon_research.training.keypoints.knet import KNet, load_imagenet
+from fgrecon_research.training.keypoints.labels import SEEN
 from fgrecon_research.training.keypoints.losses import knet_loss
 from fgrecon_research.training.keypoints.trainer import Schedule, Trainer, TrainingProgress
-from fgrecon_research.training.keypoints.validate import HeldOut
-from fgrecon_research.training.keypoints.views import TrainingSet
+from fgrecon_research.training.keypoints.views import TrainingSet, azimuth_weights
 
 _CLIP = 5.0  # largest norm of a step's gradient
 
@@ -62,16 +65,9 @@ def train_knet(
     """Train, or go on where the checkpoint ends.
 
     Args:
-        learning: Views with labels, and how often to draw each.
         partner: (K,) index of each keypoint's mirror image.
-        checkpoint: File to go on from and to write to.
-        how: Settings.
         imagenet: Weights to start the encoder from, without a checkpoint.
-        start: Weights of a whole network to start from instead.
-        device: Torch's name of the device; mixed precision on a GPU.
-        report: Called after every `save_every` steps.
         until: Step after which to end with a checkpoint; None for the last.
-        held: What the averaged network is scored on for the report.
 
     Returns:
         The averaged network, in evaluation mode.
@@ -119,3 +115,51 @@ def _batches(samples: _Samples, how: Training, first: int) -> Iterator[Any]:
         num_workers=how.workers,
         prefetch_factor=4 if how.workers else None,
     )
+
+
+# How well a network does on photographs that it does not learn from, while it is trained.
+
+_BATCH = 32
+_SEED = 12_000_000  # of the samples
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Samples of held-out photographs, drawn once."""
+
+    samples: Sequence[Sample]  # degraded as those that are learnt from
+
+    @classmethod
+    def draw(
+        cls,
+        photographs: Photographs,
+        held: NDArray[np.intp],
+        street: Street,
+        partner: NDArray[np.intp],
+        seed: int,
+        count: int = 192,
+    ) -> HeldOut:
+        """Draw them, all directions about equally often.
+
+        Args:
+            partner: (K,) index of each keypoint's mirror image.
+        """
+        weights = azimuth_weights(photographs.azimuth, held)
+        return cls([photographs.draw(held, weights, street, partner, (seed, _SEED + i)) for i in range(count)])
+
+    def score(self, network: Any, device: str = "cpu") -> float:
+        """PCK at 0.1: share of visible keypoints that KNet (evaluating) puts so near; NaN if none is."""
+        hits: list[NDArray[np.bool_]] = []
+        for start in range(0, len(self.samples), _BATCH):
+            some = self.samples[start : start + _BATCH]
+            crops = torch.from_numpy(np.stack([sample.crop for sample in some])).to(device)
+            with torch.inference_mode():
+                maps = network(crops.permute(0, 3, 1, 2).float()).maps.float().cpu().numpy()
+            row, column = np.divmod(maps.reshape(*maps.shape[:2], -1).argmax(axis=-1), maps.shape[-1])
+            places = (np.stack([column, row], axis=-1) + 0.5) * STRIDE - 0.5
+            points = np.array([sample.keypoints for sample in some])
+            away = np.linalg.norm(places - points, axis=-1) / (maps.shape[-1] * STRIDE / MARGIN)
+            seen = (np.array([sample.visible for sample in some]) > SEEN) & np.isfinite(away)
+            hits.append((away <= REACH)[seen])
+        found = np.concatenate(hits)
+        return float(found.mean()) if len(found) else float("nan")

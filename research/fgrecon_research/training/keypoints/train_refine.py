@@ -57,13 +57,8 @@ def train_refinement(
     """Train, or go on where the checkpoint ends.
 
     Args:
-        learning: Views with labels, and how often to draw each.
         partner: (K,) index of each keypoint's mirror image.
-        checkpoint: File to go on from and to write to.
-        how: Settings.
         start: Weights to start from, without a checkpoint.
-        device: Torch's name of the device.
-        report: Called after every `save_every` steps.
 
     Returns:
         The averaged networks, in evaluation mode.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.metrics import wrap_angle
 from fgrecon_research.training.keypoints.augment import Sample, Street
-from fgrecon_research.training.keypoints.labelled_view import LabelledView
+from fgrecon_research.training.keypoints.deform import LabelledView
 
 _BINS = 36
 _TRIES = 12
@@ -84,7 +84,6 @@ def azimuth_weights(azimuth: Array, chosen: NDArray[np.intp], strength: float = 
 
     Args:
         azimuth: (M,) radians.
-        chosen: Which views to draw from.
         strength: 0 leaves the views as they are, 1 evens out fully.
         limit: How much more often than the most frequent direction a rare one's views may be drawn.
     """

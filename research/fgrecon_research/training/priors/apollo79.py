@@ -15,12 +15,80 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import MIRROR
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.io.arrays import read_arrays
 from fgrecon.io.catalogue import load_category
 from fgrecon.solve.vehicle.conditioning import SizeRelation, express, learn_size_relation
-from fgrecon_research.training.priors.half_mesh import mirrored_half
 from fgrecon_research.training.priors.pca import SurfaceSamples, pca_prior
+
+Array = NDArray[np.float64]
+
+# A mesh topology that is exactly mirror-symmetric about z = 0, from one that is so only approximately.
+#
+# The left half is cut off along z = 0 of the mean shape and its mirror image becomes the right half. The cut is made
+# once, in the topology: the same cut fits every shape, so linear models of the vertices stay linear.
+
+
+@dataclass(frozen=True)
+class SymmetricMesh:
+    """Shapes in one topology that is its own mirror image."""
+
+    vertices: Array  # (M, V, 3) vertices of each shape; z = 0 on the seam
+    faces: NDArray[np.int32]  # (F, 3) triangles, the first half on the left (z >= 0)
+    mirror: NDArray[np.intp]  # (V,) index of each vertex's mirror image; its own index on the seam
+
+
+def mirrored_half(vertices: Array, faces: NDArray[np.int32], seam_width: float = 0.01) -> SymmetricMesh:
+    """Cut shapes (M, V, 3) of one topology (F, 3) along z = 0 of their mean and mirror the left half.
+
+    Args:
+        vertices: Vertices of each shape, nearly symmetric about z = 0, left is +z, metres.
+        seam_width: Vertices whose mean is closer to z = 0 than this are moved onto it, which avoids slivers.
+    """
+    height = vertices.mean(axis=0)[:, 2]
+    height = np.where(np.abs(height) < seam_width, 0.0, height)
+    cuts: dict[tuple[int, int], int] = {}
+    left = [part for face in faces for part in _clip(tuple(int(i) for i in face), height, cuts)]
+    extended = np.concatenate([vertices, *(_cut_points(vertices, height, cuts))], axis=1)
+    extended_height = np.concatenate([height, np.zeros(len(cuts))])
+    used, index = np.unique(np.array(left), return_inverse=True)
+    half = extended[:, used].copy()
+    seam = extended_height[used] == 0.0
+    half[:, seam, 2] = 0.0
+    count = len(used)
+    partner = np.arange(count)
+    partner[~seam] = count + np.arange((~seam).sum())
+    left_faces = index.reshape(-1, 3)
+    right_faces = partner[left_faces][:, ::-1]  # the mirror image turns the other way round
+    return SymmetricMesh(
+        vertices=np.concatenate([half, half[:, ~seam] * MIRROR], axis=1),
+        faces=np.concatenate([left_faces, right_faces]).astype(np.int32),
+        mirror=np.concatenate([partner, np.flatnonzero(~seam)]),
+    )
+
+
+def _clip(face: tuple[int, ...], height: Array, cuts: dict[tuple[int, int], int]) -> list[tuple[int, int, int]]:
+    """The part of a triangle with height >= 0, as 0 to 2 triangles; cut edges get new vertices, noted in `cuts`."""
+    if (height[list(face)] > 0).sum() == 0:
+        return []
+    polygon: list[int] = []
+    for a, b in zip(face, (*face[1:], face[0]), strict=True):
+        if height[a] >= 0:
+            polygon.append(a)
+        if height[a] * height[b] < 0:
+            edge = (min(a, b), max(a, b))
+            polygon.append(cuts.setdefault(edge, len(height) + len(cuts)))
+    return [(polygon[0], polygon[i], polygon[i + 1]) for i in range(1, len(polygon) - 1)]
+
+
+def _cut_points(vertices: Array, height: Array, cuts: dict[tuple[int, int], int]) -> list[Array]:
+    if not cuts:
+        return []
+    a, b = np.array(list(cuts)).T
+    share = (height[a] / (height[a] - height[b]))[:, None]
+    return [vertices[:, a] * (1 - share) + vertices[:, b] * share]
+
 
 DUPLICATE = ("fengtian-puladuo-06", "guangqi-chuanqi-GS4-2015")
 """Two names of one and the same car: it is learnt from once, and held out by either name."""
@@ -110,8 +178,6 @@ def apollo79_prior(
     """Learn the `car14` prior with surface from the models, without those named (for experiments on held-out cars).
 
     Args:
-        path: The npz file, the data folder, or the models as loaded.
-        basis: Number of basis vectors.
         exclude: Names of models not to learn from; either name of the car that has two takes it out.
         symmetric: Learn from the keypoints located on every model, which are symmetric, and a surface cut along the
             medial plane and mirrored: symmetric for every lambda. Otherwise learn from the keypoints as fixed points
@@ -143,7 +209,6 @@ def apollo79_size_relation(models: Apollo79, prior: ShapePrior, exclude: Sequenc
     """How the models' boxes go with a prior's coefficients, without those named.
 
     Args:
-        models: The models.
         prior: A prior from `apollo79_prior`.
         exclude: Names of models not to learn from.
 
@@ -168,13 +233,7 @@ class LeaveOneOut:
 def leave_one_out(
     models: Apollo79, counts: Sequence[int], advance: Callable[[int, int], None] = lambda *_: None
 ) -> list[LeaveOneOut]:
-    """Hold out each model in turn, learn the symmetric prior from the others, and express the one held out.
-
-    Args:
-        models: The models.
-        counts: Numbers of basis vectors to report.
-        advance: Told how many models are done, and how many there are.
-    """
+    """Hold out each model in turn, learn the symmetric prior from the others, and express the one held out."""
     category = load_category("car14")
     keep = kept_models(models, ())
     shapes, samples, most = models.keypoints[keep], surface_samples(models, keep, symmetric=True), max(counts)

@@ -23,7 +23,6 @@ def object_axes(category: Category, mean: Array) -> Array:
     one: where they do not, the matrix has determinant -1 and mapping by it undoes the reversal.
 
     Args:
-        category: Pairs, dimensions and ground keypoints.
         mean: (K, 3) mean shape in any frame, possibly reversed.
 
     Returns:
@@ -87,9 +86,6 @@ def metric_stretch(category: Category, mean: Array, size: SizePrior, proportions
     """(3,) factors along x, y and z that bring a mean shape (K, 3) to metres.
 
     Args:
-        category: Its dimensions.
-        mean: The mean shape in the object frame.
-        size: Mean size of the fleet.
         proportions: Share of the way from one common factor (0) to those that give the mean the fleet's length, width
             and height (1). Images tell proportions worst of all: those of one trade against the view.
 

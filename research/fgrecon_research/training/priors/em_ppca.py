@@ -30,12 +30,13 @@ translation in closed form given the rotation; the rotation by a majorisation th
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon_research.training.priors.symmetric_subspace import SymmetricSubspace
+from fgrecon_research.training.priors.factorisation import SymmetricSubspace
 
 Array = NDArray[np.float64]
 
@@ -215,12 +216,7 @@ def model_step(
     further and makes EM converge several times faster.
 
     Args:
-        data: The annotations.
-        model: The model so far.
-        cameras: Their cameras.
-        posterior: The latent variables.
         subspace: Where the mean and basis live.
-        floor: Least noise variance, which keeps exact data from a division by zero.
 
     Returns:
         The model, and the posterior in its coordinates with new squared residuals.
@@ -271,3 +267,206 @@ def _absorb(mean: Array, basis: Array, posterior: Posterior, importance: Array) 
         centred @ inverse.T,
         inverse @ posterior.covariance @ inverse.T,
     )
+
+
+# EM iterations with safeguarded extrapolation: the same optimum in a fraction of the iterations.
+#
+# SQUAREM (Varadhan and Roland 2008): from three successive parameter vectors v0, v1, v2 of EM a longer step
+# v0 + 2 s (v1 - v0) + s^2 (v2 - 2 v1 + v0) is tried, and taken only where the bound is no lower than EM's own.
+
+Report = Callable[[int, float], None]
+"""Called after each iteration with its number and the bound per seen keypoint (nats)."""
+
+_FIRST_STEP = 4.0
+_NOISE_FLOOR = 1e-8
+
+
+@dataclass(frozen=True)
+class EmState:
+    """Everything that EM iterates on."""
+
+    # the shape model, scaled so that the mean's keypoints lie at an RMS distance of 1 from the origin
+    model: ShapeModel
+    cameras: Cameras  # one per instance
+    posterior: Posterior  # the latent variables under both
+    bound: float  # the bound of all instances together, nats
+
+
+def start_state(
+    data: Data, model: ShapeModel, cameras: Cameras, dof: float | None, weight: Array | None = None
+) -> EmState:
+    """A state from a model and cameras, scaled to unit size; the bound does not depend on that scale."""
+    scale = 1.0 / float(np.sqrt(np.square(model.mean).sum(axis=1).mean()))
+    model = ShapeModel(model.mean * scale, model.basis * scale, model.variance * scale**2)
+    cameras = Cameras(cameras.rotation, cameras.inverse_scale * scale, cameras.translation * scale)
+    return _evaluated(data, model, cameras, dof, weight)
+
+
+def _evaluated(data: Data, model: ShapeModel, cameras: Cameras, dof: float | None, weight: Array | None) -> EmState:
+    posterior = e_step(data, model, cameras, dof, weight if dof is not None else None)
+    return EmState(model, cameras, posterior, float(bound(data, model, cameras, posterior, dof).sum()))
+
+
+def em(
+    data: Data,
+    state: EmState,
+    subspace: SymmetricSubspace,
+    *,
+    dof: float | None,
+    iterations: int,
+    tolerance: float,
+    report: Report | None = None,
+) -> tuple[EmState, list[float], bool]:
+    """Iterate EM with extrapolation until the bound rises by less than `tolerance` nats per keypoint and iteration.
+
+    Args:
+        state: Where to start.
+        subspace: Where the mean and basis live.
+        dof: Degrees of freedom of the noise, or None for Gaussian noise.
+
+    Returns:
+        The last state, the bound at the start and after each pair of iterations (never falling), and whether it
+        converged.
+    """
+    keypoints = data.keypoints
+    history, longest = [state.bound], _FIRST_STEP
+    for iteration in range(2, iterations + 1, 2):
+        first = _iterate(data, state, subspace, dof)
+        second = _iterate(data, first, subspace, dof)
+        leap, length = _extrapolate(data, state, first, second, dof, longest)
+        if leap is not None and leap.bound >= second.bound:
+            second = leap
+            longest = 4.0 * longest if length == longest else longest
+        elif length > 1.0:
+            longest = max(_FIRST_STEP, longest / 4.0)
+        gain = (second.bound - state.bound) / keypoints
+        state = second
+        history.append(state.bound)
+        if report is not None:
+            report(iteration, state.bound / keypoints)
+        if gain < 2.0 * tolerance:
+            return state, history, True
+    return state, history, False
+
+
+def _iterate(data: Data, state: EmState, subspace: SymmetricSubspace, dof: float | None) -> EmState:
+    """One iteration of EM: cameras, model, posterior."""
+    cameras = pose_step(data, state.model, state.cameras, state.posterior)
+    model, posterior = model_step(data, state.model, cameras, state.posterior, subspace, _NOISE_FLOOR)
+    return _evaluated(data, model, cameras, dof, posterior.weight)
+
+
+def _extrapolate(
+    data: Data, state: EmState, first: EmState, second: EmState, dof: float | None, longest: float
+) -> tuple[EmState | None, float]:
+    """The state a longer step away, or None where the step is no longer than EM's; and the step's length."""
+    v0, v1, v2 = _vector(state), _vector(first), _vector(second)
+    change = v1 - v0
+    bend = v2 - v1 - change
+    length = float(np.clip(np.linalg.norm(change) / max(float(np.linalg.norm(bend)), 1e-300), 1.0, longest))
+    if length <= 1.01:
+        return None, length
+    model, cameras = _from_vector(v0 + 2.0 * length * change + length**2 * bend, second)
+    leap = _evaluated(data, model, cameras, dof, second.posterior.weight)
+    return (leap if np.isfinite(leap.bound) else None), length
+
+
+def _vector(state: EmState) -> Array:
+    model, cameras = state.model, state.cameras
+    parts = (
+        model.mean,
+        model.basis,
+        np.log([model.variance]),
+        cameras.rotation,
+        np.log(cameras.inverse_scale),
+        cameras.translation,
+    )
+    return np.concatenate([part.ravel() for part in parts])
+
+
+def _from_vector(vector: Array, like: EmState) -> tuple[ShapeModel, Cameras]:
+    model, cameras = like.model, like.cameras
+    shapes = (
+        model.mean.shape,
+        model.basis.shape,
+        (1,),
+        cameras.rotation.shape,
+        cameras.inverse_scale.shape,
+        cameras.translation.shape,
+    )
+    ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
+    parts = [part.reshape(shape) for part, shape in zip(np.split(vector, ends[:-1]), shapes, strict=True)]
+    return (
+        ShapeModel(parts[0], parts[1], max(float(np.exp(parts[2][0])), _NOISE_FLOOR)),
+        Cameras(orthonormal_rows(parts[3]), np.exp(parts[4]), parts[5]),
+    )
+
+
+def uniform_rotations(count: int, rng: np.random.Generator) -> Array:
+    """(count, 2, 3) camera rows, uniform over all rotations."""
+    rows = rng.standard_normal((count, 2, 3))
+    first = rows[:, 0] / np.linalg.norm(rows[:, 0], axis=1, keepdims=True)
+    second = rows[:, 1] - (rows[:, 1] * first).sum(axis=1, keepdims=True) * first
+    return np.stack([first, second / np.linalg.norm(second, axis=1, keepdims=True)], axis=1)
+
+
+def search_cameras(
+    data: Data, state: EmState, rotations: Array, dof: float | None, *, sweeps: int = 6, keep: bool = True
+) -> EmState:
+    """Try every given rotation, and each camera's own depth reversal, on every instance; keep what is better.
+
+    Args:
+        rotations: (Q, 2, 3) camera rows to start from.
+        dof: Degrees of freedom of the noise, or None for Gaussian noise.
+        keep: Whether the cameras so far compete; then no instance's bound falls.
+
+    Returns:
+        The same model with the best camera of each instance.
+    """
+    model = state.model
+    rotation, scale, translation = (np.array(part) for part in vars(state.cameras).values())
+    weight = state.posterior.weight.copy()
+    best = bound(data, model, state.cameras, state.posterior, dof)
+    if not keep:
+        best = np.full(len(best), -np.inf)
+    for start in _starts(data, state, rotations):
+        cameras, posterior = _fit(data, model, Cameras(start, state.cameras.inverse_scale, translation), dof, sweeps)
+        score = bound(data, model, cameras, posterior, dof)
+        better = score > best
+        rotation[better], scale[better] = cameras.rotation[better], cameras.inverse_scale[better]
+        translation[better], weight[better] = cameras.translation[better], posterior.weight[better]
+        best = np.where(better, score, best)
+    return start_state(data, model, Cameras(rotation, scale, translation), dof, weight)
+
+
+def _starts(data: Data, state: EmState, rotations: Array) -> Iterator[Array]:
+    yield _reversed(state)
+    for rows in rotations:
+        yield np.broadcast_to(rows, (len(data.points), 2, 3))
+
+
+def _fit(data: Data, model: ShapeModel, cameras: Cameras, dof: float | None, sweeps: int) -> tuple[Cameras, Posterior]:
+    """Cameras and posterior from a start whose rotation alone means something: first the mean shape, unweighted."""
+    count, instances = model.basis.shape[0], len(data.points)
+    posterior = Posterior(
+        np.zeros((instances, count)), np.tile(np.eye(count), (instances, 1, 1)), data.seen, np.zeros_like(data.seen)
+    )
+    for sweep in range(sweeps):
+        cameras = pose_step(data, model, cameras, posterior)
+        posterior = e_step(data, model, cameras, dof, posterior.weight if dof is not None and sweep > 1 else None)
+    return cameras, posterior
+
+
+def _reversed(state: EmState) -> Array:
+    """(M, 2, 3) each camera mirrored at the plane that fits its seen keypoints best.
+
+    Points in one plane look the same from both sides of its mirror image (Necker's reversal), so that this is the
+    likeliest wrong camera of an instance that shows one side of the vehicle.
+    """
+    weight = state.posterior.weight
+    shapes = expected_shapes(state.model, state.posterior.mean)
+    centred = shapes - ((weight[:, None] @ shapes) / weight.sum(axis=1)[:, None, None])
+    scatter = (centred * weight[:, :, None]).transpose(0, 2, 1) @ centred
+    normal = np.linalg.eigh(scatter)[1][:, :, :1]
+    rotation = state.cameras.rotation
+    return np.asarray(rotation - 2.0 * (rotation @ normal) @ normal.transpose(0, 2, 1))

@@ -119,11 +119,8 @@ def to_prior(
     `offset_sigma` is each keypoint's residual in metres, mirrored keypoints alike.
 
     Args:
-        category: The category that was learnt.
-        result: What NRSfM found.
         size: Mean size of the fleet; how much each dimension counts for the common scale follows from its spread.
         proportions: Share of the way to the fleet's own proportions (`metric_stretch`).
-        name: Name of the prior.
         provenance: Plain strings about where it came from.
 
     Returns:

@@ -58,12 +58,6 @@ class LocatedPoints:
 def located_points(cars: Sequence[PosedMarks], camera: Camera, models: Apollo79, category: Category) -> LocatedPoints:
     """Locate every keypoint of a category on every model.
 
-    Args:
-        cars: Cars to learn from.
-        camera: The camera that took all images.
-        models: The models.
-        category: Names the points and their mirror images.
-
     Raises:
         InvalidInputError: Too few marks of a keypoint; names it.
     """
@@ -98,9 +92,7 @@ def marked_prior(
 
     Args:
         located: Where the 66 points are.
-        models: The models.
         category: `apollo66` itself, or one to which its names lead.
-        basis: Number of basis vectors.
         exclude: Names of models not to learn from.
 
     Raises:

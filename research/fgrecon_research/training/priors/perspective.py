@@ -19,8 +19,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon_research.training.priors.em_acceleration import EmState
-from fgrecon_research.training.priors.em_ppca import Data, expected_shapes
+from fgrecon_research.training.priors.em_ppca import Data, EmState, expected_shapes
 
 Array = NDArray[np.float64]
 _LEAST_FACTOR = 0.5
@@ -31,8 +30,6 @@ def estimate_nearness(data: Data, state: EmState, handedness: float) -> float:
     """Inverse distance d of the cameras, per unit of the shape, that explains the residuals best.
 
     Args:
-        data: The image points as annotated.
-        state: Model, cameras and posterior.
         handedness: 1 where the frame of the model is right-handed, -1 where its depth is reversed.
 
     Returns:

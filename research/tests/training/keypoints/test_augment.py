@@ -7,7 +7,7 @@ import pytest
 
 from fgrecon.io.catalogue import load_category
 from fgrecon_research.training.keypoints.augment import Street
-from fgrecon_research.training.keypoints.labelled_view import LabelledView
+from fgrecon_research.training.keypoints.deform import LabelledView
 
 MIRROR = load_category("car14").mirror
 PLAIN = Street(cut_out=0, covered=0, block=0, truncated=0, seen_alone=0, extent=(200.0, 220.0))

@@ -13,7 +13,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.images import write_png
 from fgrecon.simulation.render import Body, render
-from fgrecon_research.training.keypoints.dataset import Photographs, prepare_photographs
+from fgrecon_research.training.keypoints.dataset import Photographs, check_prepared, prepare_photographs
 from fgrecon_research.training.keypoints.distant import distant_view, dolly_zoom, random_distant_view
 from fgrecon_research.training.keypoints.labels import Labels, ShapeFit, project_labels
 from fgrecon_research.training.keypoints.posed_cars import PosedCar
@@ -128,8 +128,8 @@ def test_prepared_photographs_have_distant_ones_whose_labels_follow(prior, tmp_p
     np.testing.assert_allclose(step[0, 0] / step[0, 1], -1.5)
     assert 0.3 < step[0, 0] / 3.0 < 3.0
     (tmp_path / "p" / "distant.npz").unlink()
-    with pytest.raises(InvalidInputError, match="older version"):
-        Photographs.load(tmp_path / "p", labels, azimuth)
+    with pytest.raises(InvalidInputError, match=r"distant\.npz"):
+        check_prepared(tmp_path / "p")
 
 
 def test_mirrors_that_the_photograph_hides_are_drawn(prior):

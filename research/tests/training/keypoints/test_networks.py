@@ -19,10 +19,10 @@ from research.tests.training.keypoints.support import made_up_cars, unit_car_pri
 torch = pytest.importorskip("torch")
 
 from fgrecon.perception.keypoints.layout import KNetSettings  # noqa: E402
-from fgrecon_research.training.keypoints.checkpoint import load_checkpoint  # noqa: E402
 from fgrecon_research.training.keypoints.knet import KNet, load_imagenet  # noqa: E402
 from fgrecon_research.training.keypoints.losses import gaussian_maps, knet_loss  # noqa: E402
 from fgrecon_research.training.keypoints.train import Training, train_knet  # noqa: E402
+from fgrecon_research.training.keypoints.trainer import load_checkpoint  # noqa: E402
 from fgrecon_research.training.keypoints.views import TrainingSet, azimuth_weights  # noqa: E402
 
 MIRROR = load_category("car14").mirror

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon_research.training.keypoints.augment import Street
-from fgrecon_research.training.keypoints.labelled_view import LabelledView
-from fgrecon_research.training.keypoints.raise_cabin import belt_of, raise_cabin
+from fgrecon_research.training.keypoints.deform import LabelledView, belt_of, raise_cabin
 from research.tests.training.keypoints.test_augment import MIRROR, PLAIN, in_its_street, made_up_view
 
 BELT = (4, 5, 6, 7)

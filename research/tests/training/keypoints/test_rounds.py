@@ -13,10 +13,10 @@ from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, save_weights
 from fgrecon_research.training.keypoints.calibrate import calibrate
-from fgrecon_research.training.keypoints.checkpoint import load_checkpoint
 from fgrecon_research.training.keypoints.evaluate import azimuth_errors, localisation, marks_reliability, score_marks
 from fgrecon_research.training.keypoints.marks import Mark
 from fgrecon_research.training.keypoints.tensors import load_tensors
+from fgrecon_research.training.keypoints.trainer import load_checkpoint
 from research.tests.training.keypoints.support import made_up_cars, unit_car_prior
 
 torch = pytest.importorskip("torch")
@@ -33,8 +33,7 @@ from fgrecon_research.training.keypoints.labelling import (  # noqa: E402
 )
 from fgrecon_research.training.keypoints.refine_net import RefineNet  # noqa: E402
 from fgrecon_research.training.keypoints.rounds import _as_detector, train_in_rounds  # noqa: E402
-from fgrecon_research.training.keypoints.train import Training  # noqa: E402
-from fgrecon_research.training.keypoints.validate import HeldOut  # noqa: E402
+from fgrecon_research.training.keypoints.train import HeldOut, Training  # noqa: E402
 
 SMALL = KNetSettings(crop=32, width=8)
 HOW = Training(steps=2, batch=2, warmup=1, save_every=1, workers=0, network=SMALL, street=Street(size=32))

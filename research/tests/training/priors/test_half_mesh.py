@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fgrecon_research.training.priors.half_mesh import mirrored_half
+from fgrecon_research.training.priors.apollo79 import mirrored_half
 
 
 def icosphere(levels=2):

@@ -10,19 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
-from fgrecon_research.training.priors.em_acceleration import em, start_state
 from fgrecon_research.training.priors.em_ppca import (
     Cameras,
     Data,
     ShapeModel,
     bound,
     e_step,
+    em,
     model_step,
     orthonormal_rows,
     pose_step,
+    start_state,
 )
+from fgrecon_research.training.priors.factorisation import SymmetricSubspace
 from fgrecon_research.training.priors.nrsfm import NrsfmOptions, fit_nrsfm
-from fgrecon_research.training.priors.symmetric_subspace import SymmetricSubspace
 from research.tests.training.priors.nrsfm_data import best_similarity, chair, draw_world
 
 GAUSSIAN = NrsfmOptions(basis=2, dof=None, min_visible=5, restarts=2)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.shape_errors import expression_error, mean_error
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category, load_prior
@@ -20,11 +21,10 @@ from fgrecon_research.training.priors.canonical_frame import (
     metric_stretch,
     object_axes,
 )
-from fgrecon_research.training.priors.compare import align, compare_priors, expression_error, mean_error
-from fgrecon_research.training.priors.factorisation import affine_factorisation, metric_upgrade
+from fgrecon_research.training.priors.compare import align, compare_priors
+from fgrecon_research.training.priors.factorisation import SymmetricSubspace, affine_factorisation, metric_upgrade
 from fgrecon_research.training.priors.learn import default_size, learn_prior
 from fgrecon_research.training.priors.nrsfm import NrsfmOptions
-from fgrecon_research.training.priors.symmetric_subspace import SymmetricSubspace
 from research.tests.training.priors.nrsfm_data import chair, chair_mean, draw_world
 
 CHAIR_SIZE = SizePrior("chair", np.array([0.5, 0.45, 0.92]), np.array([0.05, 0.05, 0.05]))
