@@ -2,7 +2,7 @@
 
 Nothing outvotes the network here but the other images of a vehicle, its neighbours and what is known of the scene: all
 images go through `fgrecon.Tracker`, whose smoothing decides which way each vehicle faces, and only images that it is
-sure of are kept. A vehicle that the network takes for turned round in most of its images stays turned round.
+sure of are kept. A vehicle that the network sees with a heading flip in most of its images keeps that.
 """
 
 from __future__ import annotations

@@ -19,8 +19,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error
 from fgrecon.io.kitti_drives import Drive
 from fgrecon.io.kitti_files import LABEL_COLUMNS, Objects
-from fgrecon_research.io.kitti_sets import Defect, parse_objects
 from fgrecon_research.evaluation.kitti_devkit import Space, overlap
+from fgrecon_research.io.kitti_sets import Defect, parse_objects
 
 _NAME = "{:06d}"  # of a frame
 

@@ -15,9 +15,9 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.coverage import LEVELS, Coverage, Region, coverage
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.options import Options
-from fgrecon.core.serialise import finite
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.reliability import Reliability, reliability
+from fgrecon.core.serialise import finite
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.track_file import GroundTruth
@@ -169,9 +169,9 @@ def judge_simulated(
     """Reconstruct simulated vehicles one by one, and judge what each result says of itself; None where one is refused.
 
     Args:
-        prior: Shape prior, from which shapes are drawn as well, as the fleet has them; of any fleet where none is told.
-        ground: The ground that is told, or None.
-        size_prior: The fleet that is told, or None.
+        prior: Shape prior, from which shapes are drawn as well, as the fleet has them; of any where none is given.
+        ground: The ground that is given, or None.
+        size_prior: The fleet that is given, or None.
     """
     model, rng = prepare(prior, size_prior, None), np.random.default_rng(seed)
     spread = model.any_fleet_spread if size_prior is None else model.spread_of(np.diag(size_prior.sigma**2))

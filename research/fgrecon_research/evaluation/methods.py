@@ -1,11 +1,11 @@
 """One registry of every method that the tables compare, by name.
 
 A method is bound once to what is known about the scene (shape prior, ground plane, fleet size) and then maps an
-observation and a camera to a pose. The part of a name after `+` says what the method was told: `+size` the mean size of
+observation and a camera to a pose. The part of a name after `+` says what the method is given: `+size` the mean size of
 the fleet, `+ground` the ground plane; a method without them is not shown these values. A robust strategy may follow
 after a colon (`fgrecon+ground+size:paper`): see `fgrecon.core.robust`; `none` keeps the first weights (Eq. 4).
 
-The baselines fit the prior's mean shape, scaled per axis to the fleet's mean size where they are told it.
+The baselines fit the prior's mean shape, scaled per axis to the fleet's mean size where they are given it.
 """
 
 from __future__ import annotations

@@ -226,15 +226,15 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> PoseSummary:
 
 
 def _consistency(boxes: Sequence[VideoBox], method: str) -> dict[str, Consistency]:
-    told = {}
+    found = {}
     for name, dimension in DIMENSIONS.items():
         pairs = [(box.outcomes[method].squared.get(name), (box.drive, box.track)) for box in boxes]
         errors = [error for error, _ in pairs if error is not None]
         tracks = {track for error, track in pairs if error is not None}
         one = consistency(errors, dimension, len(tracks))
         if one is not None:
-            told[name] = one
-    return told
+            found[name] = one
+    return found
 
 
 def _jitter(boxes: Sequence[VideoBox], method: str) -> dict[str, float | None]:

@@ -27,9 +27,9 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.geometry import transform, view_azimuth
+from fgrecon.core.half_turn import HALF_TURN
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.half_turn import HALF_TURN
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.frames import SourceFrame
 from fgrecon.io.images import read_image
@@ -48,13 +48,13 @@ Array = NDArray[np.float64]
 # The vote: which way a vehicle faces if one merely adds up what the network says of its frames.
 #
 # The least that time can tell of a facing, and what everything else over time has to beat. Each frame keeps its single
-# image's result, turned round where the sum of the network's log odds over the track says so.
+# image's result, flipped where the sum of the network's log odds over the track says so.
 
 
 def vote(
     track: Sequence[tuple[Reconstruction, Array | None]],
 ) -> list[tuple[Reconstruction, Reconstruction]]:
-    """The results of one vehicle, turned round where the log odds of the frames so far, and of all, say so.
+    """The results of one vehicle, flipped where the log odds of the frames so far, and of all, say so.
 
     A frame's log odds are those of the half of all directions around the one that its result is seen from. From frame
     to frame the vehicle turns by less than a quarter, so that results beyond that face the other way.
@@ -75,13 +75,13 @@ def vote(
     odds = way * logit(np.array(halves))
     so_far, of_all = way * np.cumsum(odds) < 0.0, way * odds.sum() < 0.0
     return [
-        (_turned(result) if now else result, _turned(result) if at_last else result)
+        (_flipped(result) if now else result, _flipped(result) if at_last else result)
         for result, now, at_last in zip(results, so_far.tolist(), of_all.tolist(), strict=True)
     ]
 
 
-def _turned(result: Reconstruction) -> Reconstruction:
-    """With a pose that is turned round, and its covariance along the axes of that."""
+def _flipped(result: Reconstruction) -> Reconstruction:
+    """With the heading flipped, and its covariance along the axes of that."""
     signs = np.tile(np.diag(HALF_TURN)[:3], 2)
     spread = result.uncertainty.pose_covariance
     covariance = None if spread is None else spread * np.outer(signs, signs)
@@ -97,7 +97,7 @@ _Key = tuple[int, int]  # number of a frame, and position among its sightings; t
 ALONE = "alone"
 """Each vehicle of each image by itself; without what is known of others the whole system does the same."""
 VOTE, VOTE_BATCH = "vote", "vote_batch"
-"""The same, turned round where the network's directions of the frames so far, and of all, say so by their sum."""
+"""The same, flipped where the network's directions of the frames so far, and of all, say so by their sum."""
 ONLINE = "online"
 """Each frame by itself and those before."""
 BATCH = "batch"
@@ -336,8 +336,8 @@ def _moving(
     found = replace(found, facing=estimate.facing_probability)
     if velocity is None or estimate.velocity is None:
         return found
-    told = estimate.velocity if world_T_camera is None else world_T_camera[:3, :3].T @ estimate.velocity
-    off = (told - velocity)[_OVER_GROUND]
+    estimated = estimate.velocity if world_T_camera is None else world_T_camera[:3, :3].T @ estimate.velocity
+    off = (estimated - velocity)[_OVER_GROUND]
     found = replace(found, velocity=float(np.linalg.norm(off)))
     spread = estimate.velocity_covariance
     if spread is None or found.degrees > TURNED_ROUND or world_T_camera is not None:  # it lacks the camera's own error

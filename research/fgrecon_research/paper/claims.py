@@ -71,7 +71,7 @@ def irls_claim(scores: Scores, rows: Sequence[str]) -> Claim:
 
 def ranking_claim(scores: Scores, rows: Sequence[str]) -> Claim:
     """Where ASPnP + IRLS, and fgrecon's pose stage, do not beat every baseline."""
-    told: list[str] = []
+    found: list[str] = []
     for row in ("aspnp_irls+size", "fgrecon+size", "pose"):
         lost: dict[tuple[str, ...], list[str]] = {}
         for index, regime in enumerate(REGIMES):
@@ -85,15 +85,15 @@ def ranking_claim(scores: Scores, rows: Sequence[str]) -> Claim:
         label, everywhere = row_label(row), len(REGIMES) * len(THRESHOLDS)
         for names, at in lost.items():
             places = "at any threshold or regime" if len(at) == everywhere else f"at {', '.join(at)}"
-            told.append(f"{label} does not beat {' and '.join(names)} {places}.")
+            found.append(f"{label} does not beat {' and '.join(names)} {places}.")
         if not lost:
-            told.append(f"{label} beats every baseline at every threshold and regime.")
+            found.append(f"{label} beats every baseline at every threshold and regime.")
         elif beaten:
-            told.append(f"{label} beats all at {', '.join(beaten)}.")
+            found.append(f"{label} beats all at {', '.join(beaten)}.")
     return Claim(
         "Ranking at 5, 15 and 30 degrees",
         (
-            *told,
+            *found,
             "Why the paper's update loses: Eq. (5) ends near mu2 exp(-e / mean e) + (1 - mu2) w_vis.",
             "With mu2 = 0.7 the worst point of a car keeps a weight of 0.3 where the pose takes it for visible.",
             "RANSAC, the confidence threshold and fgrecon's mixture let a wrong point fall to nothing.",

@@ -58,7 +58,7 @@ KNOWN_SHAPE_ROWS = tuple(
 )
 """SQPnP with the mean shape, and fgrecon after each stage. `+size` knows the car's true length, width and height.
 `+others` knows what the cars of all other models tell: where people put their marks (`marking_offsets`) and, where the
-size is not told, how frequent each model is."""
+size is not given, how frequent each model is."""
 
 
 @dataclass(frozen=True)

@@ -203,7 +203,7 @@ def network_table(scores: NetworkScores) -> Table:
     note = (
         f"{cars} cars on Easy / Moderate / Hard with {visible} visible keypoints marked by hand, in "
         f"{len(set(scores.cars))} colour images of KITTI. The shipped keypoint network in the labelled box, then "
-        "fgrecon told KITTI's ground, fleet and kind of box. Visible points alone count, since where hidden ones are "
+        "fgrecon given KITTI's ground, fleet and kind of box. Visible points alone count, since where hidden ones are "
         "is a guess. The marks are never learnt from."
     )
     return Table(

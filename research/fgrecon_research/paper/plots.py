@@ -103,7 +103,7 @@ def per_part_plot(shares: Mapping[str, np.ndarray], category: Category) -> str:
 
 
 def known_shape_plot(scores: KnownShapeScores) -> str:
-    """Distribution of the errors on cars of known shape: SQPnP, fgrecon, and fgrecon told the size."""
+    """Distribution of the errors on cars of known shape: SQPnP, fgrecon, and fgrecon given the size."""
     import matplotlib.pyplot as plt
 
     figure, panels = plt.subplots(1, 3, figsize=(9.6, 3.2), layout="constrained")

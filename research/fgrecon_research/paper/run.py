@@ -12,8 +12,8 @@ import numpy as np
 from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.io.kitti_files import Objects
 from fgrecon.io.track_file import Track, read_track
-from fgrecon_research.io.kitti_sets import count_defects, write_results
 from fgrecon_research.evaluation.kitti_devkit import Space, evaluate
+from fgrecon_research.io.kitti_sets import count_defects, write_results
 from fgrecon_research.paper.apollocar3d import CONSISTENT, FEWEST_MARKS, MarkedCars, read_apollocar3d
 from fgrecon_research.paper.claims import Claim, claims
 from fgrecon_research.paper.keypoint_noise_fit import Residuals, read_vehicle, residuals
@@ -111,7 +111,7 @@ def evaluate_paper(settings: PaperSettings, advance: Callable[[str, int, int], N
 
     Args:
         settings: What to run on.
-        advance: Told the step, how much of it is done, and how much there is.
+        advance: Called with the step, how much of it is done, and how much there is.
 
     Raises:
         InvalidInputError: Something of the data is missing or cannot be used.
@@ -159,8 +159,8 @@ def _tables(
     note = (
         f"{counted[0]} / {counted[1]} / {counted[2]} labelled cars on Easy / Moderate / Hard, of which {found[0]} / "
         f"{found[1]} / {found[2]} have a detection of IoU > 0.7; a car without one is wrong at every threshold. ± is "
-        "half the 95 % bootstrap interval over images. Every row is told the fleet's mean size; the initialisation "
-        "and fgrecon's stages are told the ground plane as well."
+        "half the 95 % bootstrap interval over images. Every row is given the fleet's mean size; the initialisation "
+        "and fgrecon's stages are given the ground plane as well."
     )
     title_3 = "Table III: orientation error (simulated keypoints)"
     detected = f"Over the {found[0]} / {found[1]} / {found[2]} detected cars."
@@ -223,7 +223,7 @@ def _conditions(
             "79 models: how it does on cars that it does not know is shown under 'known shape'."
         ),
         (
-            f"Told: fleet of {length:g} x {width:g} x {height:g} m on average, camera {scene.ground.distance:g} m "
+            f"Given: fleet of {length:g} x {width:g} x {height:g} m on average, camera {scene.ground.distance:g} m "
             f"above a "
             f"level ground, prior {scene.prior.name}. Seed {settings.seed}."
         ),
@@ -254,7 +254,7 @@ def _variants(outcomes: Mapping[str, ConditionResult]) -> tuple[Table, Table, Ta
     harder, strategies = outcomes["harder"], outcomes["strategies"]
     note = f"{len(harder.scores)} cars with the network's mistakes made worse (severity {harder.condition.severity:g})."
     title = "Harder keypoints (simulated)"
-    by_strategy = f"fgrecon told ground and fleet, by robust strategy; {len(strategies.scores)} cars."
+    by_strategy = f"fgrecon given ground and fleet, by robust strategy; {len(strategies.scores)} cars."
     return (
         aop_table(
             "harder", f"{title}: orientation precision", harder.scores, harder.condition.rows, note, printed=False

@@ -28,7 +28,7 @@ from fgrecon_research.paper.stages import StageEstimate, algorithm1_state, initi
 Array = NDArray[np.float64]
 
 STAGE_ROWS = ("initialisation", "pose", "sequential", "joint")
-"""Rows of Table II: fgrecon, told ground and fleet, after each stage; `sequential` is the shape stage, pose fixed."""
+"""Rows of Table II: fgrecon, given ground and fleet, after each stage; `sequential` is the shape stage, pose fixed."""
 
 MAIN_ROWS = (
     *("initialisation", "epnp+size", "sqpnp+size", "sqpnp_confident+size", "poselib_ransac+size", "aspnp+size"),

@@ -81,7 +81,7 @@ def _real_table(key: str, title: str, tracks: Sequence[Track], scene: SceneKnowl
     scores = score_tracks(tracks, select([*METHODS, *strategies]), scene)
     lines = tuple((entry.name, _real_cells(entry)) for entry in scores)
     columns = ("mean °", "median °", "AOP 5° %", "AOP 15° %", "AOP 30° %", "median m", "failed", "ms")
-    note = f"{len(scores[0].frames)} instances; a failure counts as 180 degrees. Names say what a method was told."
+    note = f"{len(scores[0].frames)} instances; a failure counts as 180 degrees. Names say what a method is given."
     return Table(key, title, note, columns, lines, decimals=2)
 
 

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from fgrecon.calibration.matching import MINIMUM_OVERLAP, box_overlap
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_files import Objects
-from fgrecon_research.io.kitti_sets import parse_objects, read_labels, read_results
 from fgrecon_research.evaluation.kitti_devkit import (
     REGIMES,
     Space,
@@ -19,6 +18,7 @@ from fgrecon_research.evaluation.kitti_devkit import (
     overlap,
     regime_members,
 )
+from fgrecon_research.io.kitti_sets import parse_objects, read_labels, read_results
 
 SPACES = {Space.IMAGE: "detection", Space.GROUND: "detection_ground", Space.VOLUME: "detection_3d"}
 

@@ -88,8 +88,8 @@ def boxes_command(
     for name, vehicles in scored.items():
         for one in vehicles:
             place = one.frame if len(drives) == 1 else f"{one.drive}/{one.frame}"
-            told = f"{one.metres:.2f} m, {one.degrees:.1f} degrees, IoU {one.overlap:.2f}" if one.found else "no box"
-            screen.detail(f"{name} {place}/{one.index} {one.kind}: {told}")
+            errors = f"{one.metres:.2f} m, {one.degrees:.1f} degrees, IoU {one.overlap:.2f}" if one.found else "no box"
+            screen.detail(f"{name} {place}/{one.index} {one.kind}: {errors}")
     screen.write_json(json.dumps(document(scored, curves), indent=1, allow_nan=False) + "\n")
     screen.write_text(markdown, "\n".join(one.markdown() for one in made))
     if not any(one.found for vehicles in scored.values() for one in vehicles):

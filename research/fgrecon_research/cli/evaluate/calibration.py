@@ -75,8 +75,8 @@ def calibration_command(
         for box in scored.boxes:
             for method in methods:
                 outcome = box.outcomes[method]
-                told = outcome.failure or f"{outcome.status}, {outcome.degrees:.1f} degrees, {outcome.metres:.2f} m"
-                screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {told}")
+                errors = outcome.failure or f"{outcome.status}, {outcome.degrees:.1f} degrees, {outcome.metres:.2f} m"
+                screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {errors}")
     if simulated:
         cars = judge_simulated(simulated, known.scene.prior, ground=known.ground, size_prior=known.size)
         with screen.bar() as advance:

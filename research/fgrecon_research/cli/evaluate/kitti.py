@@ -43,7 +43,7 @@ class KittiFolders:
         """Folders of images, labels and calibrations.
 
         Raises:
-            InvalidInputError: One is not told, and there are no data in KITTI's layout.
+            InvalidInputError: One is not given, and there are no data in KITTI's layout.
         """
         training = self.data / "kitti_object" / "training"
         if None in (self.images, self.labels, self.calib) and not training.is_dir():
@@ -116,8 +116,8 @@ def kitti_command(
     from fgrecon.viz.delivery import recordings_of
     from fgrecon_research.evaluation import kitti_images
     from fgrecon_research.evaluation.boxes_summary import plain_boxes, tables
-    from fgrecon_research.io.kitti_sets import read_image_set, write_results
     from fgrecon_research.evaluation.kitti_images import score_boxes
+    from fgrecon_research.io.kitti_sets import read_image_set, write_results
 
     check_outputs(json_out, markdown, picture=picture)
     delivery.check()
@@ -154,9 +154,9 @@ def kitti_command(
         "traffic": traffic,
         "network": setup.detector.provenance,
     }
-    told = kitti_images.document(cars, given)
-    told["boxes"] = plain_boxes(found.groups, found.curves, found.vehicles)
-    screen.write_json(json.dumps(told, indent=1, allow_nan=False) + "\n")
+    content = kitti_images.document(cars, given)
+    content["boxes"] = plain_boxes(found.groups, found.curves, found.vehicles)
+    screen.write_json(json.dumps(content, indent=1, allow_nan=False) + "\n")
     screen.write_text(markdown, "\n".join(one.markdown() for one in made))
     if results_out is not None:
         write_results(results_out, found.results)
@@ -182,17 +182,17 @@ def _setup(
     from fgrecon.core.options import Options
     from fgrecon.perception.keypoints.detect import KeypointCascade
 
-    told = labelled.given()
+    known = labelled.given()
     setup = Setup(
         detector=KeypointCascade(weights),
-        prior=told.scene.prior,
-        ground=told.ground,
-        size_prior=told.size,
+        prior=known.scene.prior,
+        ground=known.ground,
+        size_prior=known.size,
         options=Options(box=boxes.enclose, traffic=traffic),
         overlap=boxes.overlap,
         together=together,
     )
-    return setup, told.origin
+    return setup, known.origin
 
 
 def _table(cars: list[Car]) -> TextTable:

@@ -53,7 +53,7 @@ def tracks_command(
 ) -> None:
     """Score poses on tracks: orientation error, AOP at 5, 15 and 30 degrees, translation error, time per stage.
 
-    The part of a method's name after + says what it is told: +size the fleet's size, +ground the ground plane. A frame
+    The part of a method's name after + says what it is given: +size the fleet's size, +ground the ground plane. A frame
     that a method fails on counts as 180 degrees and stays in N; --verbose names all of them. Exit code 1: fgrecon
     failed on every frame (any other method, where fgrecon does not run).
 

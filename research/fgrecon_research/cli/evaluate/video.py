@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +20,7 @@ from fgrecon_research.cli.evaluate.followed_drives import score_drives
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.calibration.labelled_drives import ScoredDrives
     from fgrecon.calibration.labelled_frames import ScoredFrame
+    from fgrecon.cli.terminal import Screen
     from fgrecon.core.reliability import Reliability
     from fgrecon.viz import SolvedVehicle
 
@@ -33,11 +35,91 @@ def _rivals() -> list[str]:
     return list(METHODS)
 
 
+@dataclass(frozen=True)
+class Following:
+    """Whether and how the vehicles are followed over time as well."""
+
+    track: Annotated[
+        bool,
+        typer.Option(
+            "--track",
+            help="Follow the vehicles by their labelled ids as well: online, and in batch (`fgrecon.Tracker`); "
+            "score velocities, and covariances against errors.",
+        ),
+    ] = False
+    forget_ids: Annotated[
+        bool, typer.Option("--forget-ids", help="Follow without the labelled ids, as `fgrecon run` associates.")
+    ] = False
+    estimate_motion: Annotated[
+        bool | None,
+        typer.Option(
+            "--estimate-motion/--no-estimate-motion",
+            help="Follow with the camera's motion as well, as the images tell it.",
+            show_default="with --track and a ground",
+        ),
+    ] = None
+
+    def moving(self, labelled: LabelledScene) -> bool:
+        """Whether the camera's motion is estimated.
+
+        Raises:
+            InvalidInputError: Something is requested of vehicles that are not followed.
+        """
+        from fgrecon.core.errors import InvalidInputError
+
+        if self.forget_ids and not self.track:
+            raise InvalidInputError("forget_ids", "true", "Give --track as well: single images have no ids.")
+        if self.estimate_motion and not self.track:
+            raise InvalidInputError("estimate_motion", "true", "Give --track as well: single images know no motion.")
+        return (self.track and labelled.ground != NOT_GIVEN) if self.estimate_motion is None else self.estimate_motion
+
+
+@dataclass(frozen=True)
+class VideoOutputs:
+    """What is written."""
+
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help=f"Contact sheet of the {_WORST} worst tracks' worst boxes.")
+    ] = None
+    table: Annotated[Path | None, typer.Option(metavar="FILE", help="Rows by box and method as .csv or .parquet.")] = (
+        None
+    )
+    results_out: ResultsOption = None
+    markdown: MarkdownOption = None
+    json_out: JsonOption = None
+
+    def check(self) -> None:
+        """Refuse what cannot be written before the work."""
+        from fgrecon.io.export.formats import TABLE_FORMATS
+        from fgrecon.io.files import check_ending
+
+        check_outputs(self.json_out, self.table, self.markdown, picture=self.picture)
+        if self.table is not None:
+            check_ending(self.table, TABLE_FORMATS)
+        if self.results_out is not None:
+            check_folder(self.results_out)
+
+    def write(self, scored: ScoredDrives, screen: Screen) -> None:
+        """Rows, boxes and the picture of what was scored."""
+        from fgrecon.io.export.formats import export_rows
+
+        if self.results_out is not None:
+            screen.wrote(*_write_results(self.results_out, scored.frames))
+        if self.table is not None:
+            screen.wrote(export_rows(self.table, [row for box in scored.boxes for row in box.rows()]))
+        if self.picture is not None and (sights := _sights(scored)):
+            from fgrecon.viz import contact_sheet, save_picture
+
+            screen.wrote(save_picture(self.picture, contact_sheet(sights, columns=_COLUMNS)))
+
+
 def video_command(
     folders: DrivesArgument,
     labelled: LabelledScene,
     terminal: Terminal,
     how: DriveOptions,
+    following: Following,
+    outputs: VideoOutputs,
     rival: Annotated[
         list[str] | None,
         typer.Option(
@@ -47,41 +129,13 @@ def video_command(
             autocompletion=fitting_names(_rivals),
         ),
     ] = None,
-    track: Annotated[
-        bool,
-        typer.Option(
-            "--track",
-            help="Follow the vehicles by their labelled ids as well: online, and in batch (`fgrecon.Tracker`); "
-            "score velocities, and covariances against errors.",
-        ),
-    ] = False,
-    forget_ids: Annotated[
-        bool, typer.Option("--forget-ids", help="Follow without the labelled ids, as `fgrecon run` associates.")
-    ] = False,
-    estimate_motion: Annotated[
-        bool | None,
-        typer.Option(
-            "--estimate-motion/--no-estimate-motion",
-            help="Follow with the camera's motion as well, as the images tell it.",
-            show_default="with --track and a ground",
-        ),
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help=f"Contact sheet of the {_WORST} worst tracks' worst boxes.")
-    ] = None,
-    table: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Rows by box and method as .csv or .parquet.")
-    ] = None,
-    results_out: ResultsOption = None,
-    markdown: MarkdownOption = None,
-    json_out: JsonOption = None,
 ) -> None:
     """Find keypoints in every image of labelled drives, reconstruct cars and vans from their labelled boxes, and score.
 
     Boxes count that are at least 25 px high, largely occluded at most, and at most half outside the image. Each image
     is taken on its own; with --track the same keypoints are followed over time as well, without a motion of the camera
     and with the one that all images between the first and the last labelled one tell; beside that the single images
-    stand turned round where the network's directions so far, or of the whole track, add up to that. A box without a
+    stand flipped where the network's directions so far, or of the whole track, add up to that. A box without a
     result counts as 180 degrees and stays in. Intervals are of 95 %, by bootstrap over tracks. For a picture the worst
     images are solved once more after they were scored. --verbose tells every box.
 
@@ -90,37 +144,21 @@ def video_command(
 
     Exit code 1: no box could be reconstructed.
     """
-    from fgrecon.core.errors import InvalidInputError
-    from fgrecon.io.export.formats import TABLE_FORMATS, export_rows
-    from fgrecon.io.files import check_ending
     from fgrecon_research.evaluation.video_summary import document, facing_reliability, methods_of, summarise_groups
     from fgrecon_research.evaluation.video_tables import tables
 
-    check_outputs(json_out, table, markdown, picture=picture)
-    if forget_ids and not track:
-        raise InvalidInputError("forget_ids", "true", "Give --track as well: single images have no ids.")
-    if estimate_motion and not track:
-        raise InvalidInputError("estimate_motion", "true", "Give --track as well: single images know no motion.")
-    moving = (track and labelled.ground != NOT_GIVEN) if estimate_motion is None else estimate_motion
-    if table is not None:
-        check_ending(table, TABLE_FORMATS)
-    if results_out is not None:
-        check_folder(results_out)
-    screen = terminal.screen(json_out)
+    outputs.check()
+    moving = following.moving(labelled)
+    screen = terminal.screen(outputs.json_out)
     scored = score_drives(
-        how,
-        folders,
-        labelled,
-        screen,
+        *(how, folders, labelled, screen),
         rivals=rival or [_RIVAL],
-        track=track,
-        forget_ids=forget_ids,
+        track=following.track,
+        forget_ids=following.forget_ids,
         estimate_motion=moving,
     )
-    boxes = scored.boxes
-
+    boxes, summaries = scored.boxes, summarise_groups(scored.boxes)
     screen.print(scored.in_words())
-    summaries = summarise_groups(boxes)
     made = {f"By {by}:": one for by, one in tables(summaries).items()}
     for heading, one in made.items():
         screen.print(heading, one.filled().shown(wrap=True))
@@ -129,7 +167,19 @@ def video_command(
         for method, found in box.outcomes.items():
             error = found.failure or f"{found.degrees:.1f} degrees, {found.metres:.2f} m"
             screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {error}")
-    given = {
+    given = _given(scored, labelled, how, following) | {"estimate_motion": moving}
+    content = document(boxes, summaries, given, scored.networks())
+    screen.write_json(json.dumps(content, indent=1, allow_nan=False) + "\n")
+    screen.write_text(outputs.markdown, "\n".join(f"{heading}\n\n{one.markdown()}" for heading, one in made.items()))
+    outputs.write(scored, screen)
+    if all(box.outcomes[methods_of(boxes)[0]].failure is not None for box in boxes):
+        screen.fail("No box could be reconstructed.")
+        raise typer.Exit(1)
+
+
+def _given(scored: ScoredDrives, labelled: LabelledScene, how: DriveOptions, following: Following) -> dict[str, Any]:
+    """What was given, for the document."""
+    return {
         "drives": [drive.name for drive in scored.drives],
         "images": scored.images,
         "prior": scored.request.given.scene.prior.describe(),
@@ -138,27 +188,11 @@ def video_command(
         "box_model": scored.request.encloses.value,
         "together": how.together,
         "traffic": how.traffic,
-        "track": track,
-        "estimate_motion": moving,
-        "ids": "associated" if forget_ids or how.detect else "labelled",
+        "track": following.track,
+        "ids": "associated" if following.forget_ids or how.detect else "labelled",
         "boxes": scored.request.boxes,
         "missed": scored.missed,
     }
-    screen.write_json(
-        json.dumps(document(boxes, summaries, given, scored.networks()), indent=1, allow_nan=False) + "\n"
-    )
-    if results_out is not None:
-        screen.wrote(*_write_results(results_out, scored.frames))
-    if table is not None:
-        screen.wrote(export_rows(table, [row for box in boxes for row in box.rows()]))
-    screen.write_text(markdown, "\n".join(f"{heading}\n\n{one.markdown()}" for heading, one in made.items()))
-    if picture is not None and (sights := _sights(scored)):
-        from fgrecon.viz import contact_sheet, save_picture
-
-        screen.wrote(save_picture(picture, contact_sheet(sights, columns=_COLUMNS)))
-    if all(box.outcomes[methods_of(boxes)[0]].failure is not None for box in boxes):
-        screen.fail("No box could be reconstructed.")
-        raise typer.Exit(1)
 
 
 def _write_results(folder: Path, frames: Sequence[ScoredFrame]) -> list[Path]:

@@ -119,7 +119,7 @@ def label_command(
     """Label the keypoints of vehicles whose 3D boxes are known, hidden ones as well, all images of each together.
 
     A factor graph outvotes the network where box and other images contradict it. Vehicles without 3D boxes are left out
-    unless the ground or their size is told; then their tracks are reconstructed, and what is sure is kept. With
+    unless the ground or their size is given; then their tracks are reconstructed, and what is sure is kept. With
     --tracks no labels are needed. Images are named relative to the file.
     --verbose names every vehicle that is left out.
 

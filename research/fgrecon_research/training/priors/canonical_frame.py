@@ -18,7 +18,7 @@ def object_axes(category: Category, mean: Array) -> Array:
 
     z runs from the right to the left keypoints of the symmetric pairs (without pairs, along the width). The ground
     keypoints, which have one height by definition, give the horizontal across z; where they do not span one, the
-    length does. Forward and down are told by the keypoint groups of length and height. Scaled orthography cannot tell
+    length does. Forward and down follow from the keypoint groups of length and height. Scaled orthography cannot tell
     a shape from its depth reversal; this can, since the axes must come out right-handed for the shape to be the real
     one: where they do not, the matrix has determinant -1 and mapping by it undoes the reversal.
 

@@ -74,7 +74,7 @@ def learn_prior(
         proportions: Share of the way from the proportions that the images tell to those of the fleet, from 0 to 1.
         name: Name of the prior.
         provenance: What it was learnt from; how is added here.
-        progress: Told of the progress; it may raise to stop.
+        progress: Called with the progress; it may raise to stop.
 
     Returns:
         The prior, and how it came about.

@@ -3,7 +3,7 @@
     annotations (M, K, 2), NaN where unseen
         |  rigid factorisation with missing data, several random starts      `factorisation`
         |  rigid EM, global search for each camera                           `em_acceleration`, `pose_search`
-        |  where asked for: image points freed from perspective              `perspective`
+        |  where requested: image points freed from perspective              `perspective`
         |  random small basis, EM, search again, EM to convergence
         v  the restart with the best likelihood
     mean, basis, noise, cameras                                               `em_ppca`
@@ -82,7 +82,7 @@ def bootstrapped_means(
         subspace: Where the mean lives.
         vehicle: (M,) number of the vehicle that each image shows.
         dof: Degrees of freedom of the noise, or None for Gaussian noise.
-        progress: Told after each draw its number, from 1, and its log likelihood per keypoint, nats.
+        progress: Called after each draw with its number, from 1, and its log likelihood per keypoint, nats.
 
     Returns:
         (draws, K, 3) each moved, turned and scaled to fit the learnt mean best, in its frame.
@@ -231,7 +231,7 @@ def fit_nrsfm(
             share of its images: scaled orthography errs differently from each direction, and evenly spread views
             cancel much of that (learnt from 3,000 street images, the mean shape's error falls from 1.5 to 1.15 %).
         vehicles: (M,) which vehicle each image shows, where known: how sure the mean is goes by vehicles then.
-        progress: Told of the progress; it may raise to stop.
+        progress: Called with the progress; it may raise to stop.
 
     Returns:
         The model in the object frame, up to scale and origin.
@@ -308,7 +308,7 @@ def _importance(views: ArrayLike | None, used: NDArray[np.bool_]) -> Array:
 
 @dataclass(frozen=True)
 class _Learnt:
-    """Where learning ended: the data (without perspective where asked for), the state, and how it went."""
+    """Where learning ended: the data (without perspective where requested), the state, and how it went."""
 
     data: Data
     state: EmState
