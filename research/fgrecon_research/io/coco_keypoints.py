@@ -27,16 +27,6 @@ from fgrecon.core.repr import brief_repr
 from fgrecon.io.files import behind_links, write_text
 from fgrecon.io.json_fields import Fields, numbers, read_json
 
-__all__ = [
-    "COCO_KEYPOINTS_FORMAT",
-    "SEEN",
-    "LabelledImage",
-    "VehicleLabel",
-    "VehicleLabels",
-    "read_coco_keypoints",
-    "write_coco_keypoints",
-]
-
 COCO_KEYPOINTS_FORMAT = "fgrecon.keypoint_labels/1"
 
 SEEN = 0.5
@@ -52,65 +42,40 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LabelledImage:
-    """An image and its camera.
+    """An image and its camera."""
 
-    Attributes:
-        path: Its file.
-        size: Width and height, pixels.
-        matrix: (3, 3) camera matrix, pixels.
-        drive: Name of the drive or folder that it belongs to.
-        frame: Its number there.
-    """
-
-    path: Path
-    size: tuple[int, int]
-    matrix: Array
-    drive: str
-    frame: int
+    path: Path  # Its file
+    size: tuple[int, int]  # Width and height, pixels
+    matrix: Array  # (3, 3) camera matrix, pixels
+    drive: str  # Name of the drive or folder that it belongs to
+    frame: int  # Its number there
 
     __repr__ = brief_repr
 
 
 @dataclass(frozen=True, eq=False)
 class VehicleLabel:
-    """A vehicle in an image. Camera frame: x right, y down, z forward, metres.
-
-    Attributes:
-        image: The image.
-        track: Number of the vehicle within its drive.
-        kind: Such as `Car`.
-        box: (4,) 2D box x1, y1, x2, y2, pixels.
-        keypoints: (K, 2) pixels, hidden ones as well; NaN where read back from outside the image.
-        probability: (K,) that each can be seen.
-        covariance: (K, 2, 2) of the keypoints, square pixels.
-        corners: (8, 2) pixels of the 3D box: rear before front, bottom before top, right before left, the last changing
-            fastest; NaN behind the camera.
-        location: (3,) centre of the bottom face, camera frame.
-        rotation_y: Yaw about the camera's y axis, radians; 0 where the vehicle faces camera +x.
-        size: (3,) length, width and height, metres.
-        azimuth: Direction from the vehicle to the camera, radians; 0 ahead of it, pi / 2 to its left.
-        agreement: Share of the network's confidence that agrees with the keypoints.
-        silhouette: Polygons (N, 2) in pixels, where the vehicle is seen; none where no part of it is.
-        vertices: (V, 3) surface, camera frame; None where it is not kept.
-        boxed: Whether its 3D box was labelled; else it was reconstructed.
-    """
+    """A vehicle in an image. Camera frame: x right, y down, z forward, metres."""
 
     image: LabelledImage
-    track: int
-    kind: str
-    box: Array
-    keypoints: Array
-    probability: Array
-    covariance: Array
+    track: int  # Number of the vehicle within its drive
+    kind: str  # Such as `Car`
+    box: Array  # (4,) 2D box x1, y1, x2, y2, pixels
+    keypoints: Array  # (K, 2) pixels, hidden ones as well; NaN where read back from outside the image
+    probability: Array  # (K,) that each can be seen
+    covariance: Array  # (K, 2, 2) of the keypoints, square pixels
+    # (8, 2) pixels of the 3D box: rear before front, bottom before top, right before left, the last changing fastest;
+    # NaN behind the camera
     corners: Array
-    location: Array
-    rotation_y: float
-    size: Array
-    azimuth: float
-    agreement: float
+    location: Array  # (3,) centre of the bottom face, camera frame
+    rotation_y: float  # Yaw about the camera's y axis, radians; 0 where the vehicle faces camera +x
+    size: Array  # (3,) length, width and height, metres
+    azimuth: float  # Direction from the vehicle to the camera, radians; 0 ahead of it, pi / 2 to its left
+    agreement: float  # Share of the network's confidence that agrees with the keypoints
+    # Polygons (N, 2) in pixels, where the vehicle is seen; none where no part of it is
     silhouette: tuple[Array, ...] = ()
-    vertices: Array | None = None
-    boxed: bool = True
+    vertices: Array | None = None  # (V, 3) surface, camera frame; None where it is not kept
+    boxed: bool = True  # Whether its 3D box was labelled; else it was reconstructed
 
     __repr__ = brief_repr
 
@@ -126,25 +91,15 @@ class VehicleLabel:
 
 @dataclass(frozen=True, eq=False)
 class VehicleLabels:
-    """All that a file holds.
+    """All that a file holds."""
 
-    Attributes:
-        category: Name of the category.
-        keypoints: Names of its K keypoints.
-        skeleton: Pairs of keypoints to draw, from 0.
-        vehicles: The labels.
-        faces: (F, 3) triangles of every vehicle's surface, or None.
-        info: What made them, in words.
-        terms: Of the images, in words; empty where they are not told.
-    """
-
-    category: str
-    keypoints: tuple[str, ...]
-    skeleton: tuple[tuple[int, int], ...]
-    vehicles: tuple[VehicleLabel, ...]
-    faces: NDArray[np.int64] | None = None
-    info: Mapping[str, str] = field(default_factory=dict)
-    terms: str = ""
+    category: str  # Name of the category
+    keypoints: tuple[str, ...]  # Names of its K keypoints
+    skeleton: tuple[tuple[int, int], ...]  # Pairs of keypoints to draw, from 0
+    vehicles: tuple[VehicleLabel, ...]  # The labels
+    faces: NDArray[np.int64] | None = None  # (F, 3) triangles of every vehicle's surface, or None
+    info: Mapping[str, str] = field(default_factory=dict)  # What made them, in words
+    terms: str = ""  # Of the images, in words; empty where they are not told
 
     __repr__ = brief_repr
 
@@ -153,8 +108,6 @@ def write_coco_keypoints(path: str | Path, labels: VehicleLabels, *, meshes: boo
     """Write labels, whole or not at all; images are named relative to the file's folder, by their paths as given.
 
     Args:
-        path: JSON file.
-        labels: The labels.
         meshes: Whether to write the surfaces.
 
     Returns:
@@ -411,11 +364,7 @@ def _as_given(path: Path) -> Path:
 
 
 def _folder_of(file: Path) -> Path:
-    """The folder of a file, that of what it is a link to.
-
-    Raises:
-        InvalidInputError: Its links lead to themselves.
-    """
+    """The folder of a file, that of what it is a link to."""
     return _as_given(behind_links(file) if file.is_symlink() else file).parent
 
 

@@ -28,19 +28,6 @@ from fgrecon.io.kitti_files import (
     parse_object,
 )
 
-__all__ = [
-    "Defect",
-    "Fault",
-    "count_defects",
-    "parse_objects",
-    "read_detections",
-    "read_image_set",
-    "read_labels",
-    "read_results",
-    "stated_model",
-    "write_results",
-]
-
 
 class Defect(StrEnum):
     """What can be wrong with a set of files."""
@@ -96,8 +83,6 @@ def parse_objects(text: str, place: str, *, scored: bool = False) -> tuple[Objec
     """Read the lines of a label file, or of a result file.
 
     Args:
-        text: Content of the file.
-        place: What to call it in problems.
         scored: Whether lines have a score (results).
 
     Returns:

@@ -10,8 +10,6 @@ from fgrecon.core.reliability import Reliability
 from fgrecon.viz import style
 from fgrecon.viz.marks import unit
 
-__all__ = ["calibration_picture"]
-
 _SIZE = (7.2, 3.5)
 _LINES = ("-", "--", ":", "-.")
 _MARKS = ("o", "s", "^", "D")

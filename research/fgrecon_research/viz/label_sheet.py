@@ -15,8 +15,6 @@ from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, unit
 from fgrecon.viz.picture import CELL_ASPECT, new_sheet
 from fgrecon_research.io.coco_keypoints import VehicleLabel, VehicleLabels
 
-__all__ = ["label_sheet"]
-
 _HEADING = 0.3  # inches
 
 

@@ -13,28 +13,19 @@ from fgrecon.core.category import Category
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["Annotations", "in_category_order", "spread"]
-
 
 @dataclass(frozen=True)
 class Annotations:
-    """The annotated keypoints of M instances.
+    """The annotated keypoints of M instances."""
 
-    Attributes:
-        category: The category whose keypoint order the arrays follow.
-        keypoints: (M, K, 2) pixels (u, v), pixel centres at integers; NaN where a keypoint was not marked.
-        names: (M,) a name for each instance, for messages: the image, and the object within it.
-        vehicles: (M,) identity of the vehicle that an instance shows; None where it is not known.
-        views: (M,) class of the direction from which it is seen; None where it is not known.
-        source: Where the annotations come from, in words.
-    """
-
-    category: Category
+    category: Category  # The category whose keypoint order the arrays follow
+    # (M, K, 2) pixels (u, v), pixel centres at integers; NaN where a keypoint was not marked
     keypoints: NDArray[np.float64]
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # (M,) a name for each instance, for messages: the image, and the object within it
+    # (M,) identity of the vehicle that an instance shows; None where it is not known
     vehicles: NDArray[Any] | None = None
-    views: NDArray[Any] | None = None
-    source: str = ""
+    views: NDArray[Any] | None = None  # (M,) class of the direction from which it is seen; None where it is not known
+    source: str = ""  # Where the annotations come from, in words
 
     def __post_init__(self) -> None:
         """Check shapes and values; a keypoint with one coordinate missing counts as not marked.
@@ -88,10 +79,7 @@ def spread(annotations: Annotations, count: int, rng: np.random.Generator, *, mi
     often so far.
 
     Args:
-        annotations: What to choose from.
-        count: How many.
         rng: Source of the random order.
-        min_visible: Fewest marked keypoints of an instance that may be chosen.
 
     Returns:
         (count,) indices, ascending.

@@ -14,8 +14,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon_research.io.annotations.annotations import Annotations, in_category_order
 
-__all__ = ["read_coco"]
-
 _LARGEST = 1e9  # pixels; so no number is infinite or none
 
 
@@ -26,8 +24,6 @@ def read_coco(path: Path, category: Category, rename: Mapping[str, str]) -> Anno
     several object categories all that share a keypoint name with `category` are read.
 
     Args:
-        path: The file.
-        category: The category to read for.
         rename: From the file's keypoint names to the category's, where they differ.
 
     Returns:

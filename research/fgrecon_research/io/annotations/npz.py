@@ -14,8 +14,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.arrays import read_arrays
 from fgrecon_research.io.annotations.annotations import Annotations, in_category_order
 
-__all__ = ["read_npz"]
-
 _KEYPOINTS = ("keypoints_uv", "keypoints")
 _VEHICLES = ("vehicle_id", "vehicles")
 _VIEWS = ("orientation", "views")
@@ -30,8 +28,6 @@ def read_npz(path: Path, category: Category, rename: Mapping[str, str]) -> Annot
     or `vehicles` (M,); `orientation` or `views` (M,); `image` or `names` (M,).
 
     Args:
-        path: The file.
-        category: The category to read for.
         rename: From the file's keypoint names to the category's, where they differ.
 
     Returns:

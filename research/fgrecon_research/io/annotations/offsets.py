@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["robust_offset"]
-
 Array = NDArray[np.float64]
 
 _REWEIGHTINGS = 10
@@ -20,7 +18,6 @@ def robust_offset(jacobian: Array, residual: Array, weight: Array, sigma: float,
         residual: (N, 2) marks less the projected keypoints.
         weight: (N,) how much each mark counts.
         sigma: Residual up to which the loss is quadratic, in the residuals' unit.
-        weak: Strength of the draw to zero, per mark.
     """
     offset = np.zeros(3)
     for _ in range(_REWEIGHTINGS):

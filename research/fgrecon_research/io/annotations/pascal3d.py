@@ -14,8 +14,6 @@ from fgrecon.io.isolated import Isolated
 from fgrecon.io.keypoints.pascal3d import AnchoredObject, read_anchors
 from fgrecon_research.io.annotations.annotations import Annotations
 
-__all__ = ["read_pascal3d"]
-
 
 def read_pascal3d(paths: list[Path], category: Category, rename: Mapping[str, str]) -> Annotations:
     """Annotations of PASCAL3D+ files: `record.objects(i).anchors.NAME` with `location` [x y] and `status`.
@@ -24,8 +22,6 @@ def read_pascal3d(paths: list[Path], category: Category, rename: Mapping[str, st
     Pixels become 0-based: MATLAB counts from 1.
 
     Args:
-        paths: The `.mat` files, one per image.
-        category: The category to read for; its keypoints bear the anchors' names.
         rename: From the anchors' names to the category's, where they differ.
 
     Returns:

@@ -15,8 +15,6 @@ from fgrecon_research.io.annotations.npz import read_npz
 from fgrecon_research.io.annotations.pascal3d import read_pascal3d
 from fgrecon_research.io.annotations.veri36 import read_veri36
 
-__all__ = ["FORMATS", "load_annotations"]
-
 FORMATS = {".json": "COCO keypoints", ".mat": "PASCAL3D+", ".npz": "numpy", ".csv": "VeRi, 36 keypoints"}
 """What a file's suffix says about its format."""
 
@@ -35,7 +33,6 @@ def load_annotations(
     Args:
         paths: Files (`.json` COCO, `.mat` PASCAL3D+, `.npz`, `.csv` VeRi with 36 keypoints), or folders, of which all
             such files are read in the order of their names.
-        category: The category to read for.
         rename: From the files' keypoint names to the category's, where they differ.
 
     Returns:

@@ -12,8 +12,6 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon_research.io.annotations.annotations import Annotations
 
-__all__ = ["read_veri36"]
-
 _POINTS = 36
 _HEAD = 3
 
@@ -25,9 +23,7 @@ def read_veri36(path: Path, category: Category, rename: Mapping[str, str]) -> An
     before its first underscore. Points that are not visible are guesses of the annotators and are left out.
 
     Args:
-        path: The file.
         category: A category with 36 keypoints in that order.
-        rename: Must be empty: the file holds no names.
 
     Returns:
         The annotations.

@@ -16,28 +16,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PriorComparison:
-    """Two priors side by side, after the similarity that brings the first's mean onto the second's.
+    """Two priors side by side, after the similarity that brings the first's mean onto the second's."""
 
-    Attributes:
-        keypoints: Names of the keypoints that both have; the arrays below are over these.
-        rms: Root mean square distance of the means over the keypoints, metres (of the second).
-        percent: The same in percent of the second's length.
-        distances: (K',) distance of each keypoint, metres.
-        differences: (K', 3) first minus second: forward, down, left, metres.
-        scale: Factor that the first was scaled by.
-        angles: Principal angles between the two subspaces, degrees, smallest first; similarity motions of the mean,
-            which no image of unknown scale can tell from a camera, are taken out of both.
-        shared_variance: Share of the first's variance (its vectors) that lies in the second's subspace, and the
-            reverse.
-    """
-
-    keypoints: tuple[str, ...]
-    rms: float
-    percent: float
-    distances: Array
-    differences: Array
-    scale: float
+    keypoints: tuple[str, ...]  # Names of the keypoints that both have; the arrays below are over these
+    rms: float  # Root mean square distance of the means over the keypoints, metres (of the second)
+    percent: float  # The same in percent of the second's length
+    distances: Array  # (K',) distance of each keypoint, metres
+    differences: Array  # (K', 3) first minus second: forward, down, left, metres
+    scale: float  # Factor that the first was scaled by
+    # Principal angles between the two subspaces, degrees, smallest first; similarity motions of the mean, which no
+    # image of unknown scale can tell from a camera, are taken out of both
     angles: Array
+    # Share of the first's variance (its vectors) that lies in the second's subspace, and the reverse
     shared_variance: tuple[float, float]
 
 

@@ -23,17 +23,12 @@ PROPORTIONS = 0.75
 
 @dataclass(frozen=True)
 class LearntPrior:
-    """A prior and how it was learnt.
+    """A prior and how it was learnt."""
 
-    Attributes:
-        prior: The prior, metric, in the object frame.
-        nrsfm: The result of NRSfM that it was made from.
-        box: (3,) length, width and height of the mean shape's box before the one common scale was chosen, each
-            divided by the fleet's: how well the learnt proportions agree with the size prior.
-    """
-
-    prior: ShapePrior
-    nrsfm: NrsfmResult
+    prior: ShapePrior  # The prior, metric, in the object frame
+    nrsfm: NrsfmResult  # The result of NRSfM that it was made from
+    # (3,) length, width and height of the mean shape's box before the one common scale was chosen, each divided by the
+    # fleet's: how well the learnt proportions agree with the size prior
     box: Array
 
 

@@ -110,39 +110,27 @@ _MOST_IMPORTANT = 8.0
 
 @dataclass(frozen=True)
 class NrsfmOptions:
-    """How to learn.
+    """How to learn."""
 
-    Attributes:
-        basis: Number N of basis vectors.
-        symmetric: Keep mean and basis mirror-symmetric (the category's pairs); without pairs nothing is imposed.
-        perspective: Estimate the cameras' common distance and take perspective out of the annotations to first order;
-            else it appears as a mode that tells front from rear views.
-        dof: Degrees of freedom of Student's t noise, which bears wrong annotations; None for Gaussian noise.
-        restricted: Estimate noise and shape by the restricted likelihood, which allows for the fitted cameras; else
-            by the plain likelihood of Torresani et al.
-        min_visible: Images with fewer annotated keypoints are left out.
-        restarts: Random starts; the one that ends at the best likelihood is kept.
-        iterations: Most EM iterations of the last stage.
-        tolerance: It ends when the bound rises by less, in nats per keypoint and iteration.
-        start_images: Restarts use at most so many images.
-        rotations: Starts of the global search for each camera.
-        seed: Seed of everything random.
-        bootstrap: Draws of the vehicles by which the mean's standard deviation is estimated; 0 for none. They change
-            nothing else.
-    """
-
-    basis: int = 5
+    basis: int = 5  # Number N of basis vectors
+    # Keep mean and basis mirror-symmetric (the category's pairs); without pairs nothing is imposed
     symmetric: bool = True
+    # Estimate the cameras' common distance and take perspective out of the annotations to first order; else it appears
+    # as a mode that tells front from rear views
     perspective: bool = False
+    # Degrees of freedom of Student's t noise, which bears wrong annotations; None for Gaussian noise
     dof: float | None = 2.0
+    # Estimate noise and shape by the restricted likelihood, which allows for the fitted cameras; else by the plain
+    # likelihood of Torresani et al
     restricted: bool = True
-    min_visible: int = 8
-    restarts: int = 3
-    iterations: int = 600
-    tolerance: float = 5e-6
-    start_images: int = 2000
-    rotations: int = 24
-    seed: int = 0
+    min_visible: int = 8  # Images with fewer annotated keypoints are left out
+    restarts: int = 3  # Random starts; the one that ends at the best likelihood is kept
+    iterations: int = 600  # Most EM iterations of the last stage
+    tolerance: float = 5e-6  # It ends when the bound rises by less, in nats per keypoint and iteration
+    start_images: int = 2000  # Restarts use at most so many images
+    rotations: int = 24  # Starts of the global search for each camera
+    seed: int = 0  # Seed of everything random
+    # Draws of the vehicles by which the mean's standard deviation is estimated; 0 for none. They change nothing else.
     bootstrap: int = 12
 
     def __post_init__(self) -> None:
@@ -164,19 +152,12 @@ class NrsfmOptions:
 
 @dataclass(frozen=True)
 class NrsfmProgress:
-    """How far learning has come.
+    """How far learning has come."""
 
-    Attributes:
-        stage: What is being done, in words.
-        fraction: Share of all the work that is behind, an estimate.
-        iteration: Iteration within the stage.
-        bound: Log likelihood (or its lower bound) per keypoint, nats.
-    """
-
-    stage: str
-    fraction: float
-    iteration: int
-    bound: float
+    stage: str  # What is being done, in words
+    fraction: float  # Share of all the work that is behind, an estimate
+    iteration: int  # Iteration within the stage
+    bound: float  # Log likelihood (or its lower bound) per keypoint, nats
 
 
 ProgressCallback = Callable[[NrsfmProgress], None]
