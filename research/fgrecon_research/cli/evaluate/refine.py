@@ -96,10 +96,10 @@ def refine_evaluation_command(
         raise InvalidInputError("drives", ", ".join(d.name for d in drives), "Give drives with labelled boxes.")
     screen.print(_table(vehicles).shown())
     for one in vehicles:
-        errors = (
+        change = (
             f"{one.before.metres:.2f} -> {one.after.metres:.2f} m, {one.before.degrees:.1f} -> {one.after.degrees:.1f}"
         )
-        screen.detail(f"{one.drive}/{one.frame:06d}/{one.index} {one.kind}: {errors} degrees. {one.message}")
+        screen.detail(f"{one.drive}/{one.frame:06d}/{one.index} {one.kind}: {change} degrees. {one.message}")
     given = {
         "drives": [drive.name for drive in drives],
         "boxes": "disturbed labels" if boxes is None else str(boxes),
