@@ -14,7 +14,7 @@ from fgrecon.core.half_turn import turned_round
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon_research.evaluation import video_tracks
-from fgrecon_research.evaluation.video_summary import document, summarise_boxes
+from fgrecon_research.evaluation.video_summary import document, summarise_boxes, summarise_groups
 from fgrecon_research.evaluation.video_tracks import (
     ALONE,
     BATCH,
@@ -67,7 +67,7 @@ def test_several_images_and_how_much_errors_change(folder, setup, scene):  # noq
     assert online.jitter_metres == pytest.approx(np.linalg.norm(np.diff(offs, axis=0)[:, 1:], axis=1).mean())
     assert online.jitter_degrees == pytest.approx(np.abs(np.diff(offs, axis=0)[:, 0]).mean())
     assert alone.mean_absolute_size_error == pytest.approx(np.abs(first[0].outcomes[SYSTEM].size).mean())
-    made = document(boxes, {}, [])
+    made = document(boxes, summarise_groups(boxes), {}, [])
     assert list(made["methods"]) == [SYSTEM, ALONE, VOTE, VOTE_BATCH, ONLINE, BATCH, ONLINE_MOVING, BATCH_MOVING]
     alone = [box.outcomes[ALONE] for box in first]
     assert alone[0].metres == alone[1].metres > 0.0  # the images are one
