@@ -83,14 +83,7 @@ def calibrate_detector(
         "size_prior": size_prior,
         "boxes": request.boxes,
     }
-    source: BoxSource | None = None
-    if fits_boxes:
-        seen = list(seen_boxes(drives, done.frames, request.given.scene.prior))
-        try:
-            source = fit_boxes(seen)
-            provenance["outlines"] = len(seen)
-        except InvalidInputError as error:
-            doubt(_left_out(_EDGES, error))
+    source = _fit_boxes(drives, done, provenance, doubt) if fits_boxes else None
     calibration, fitted = DetectorCalibration(provenance=provenance), None
     try:
         check_solved(done.boxes)
@@ -114,6 +107,20 @@ def _has_whole_cars(drives: list[Drive], doubt: Callable[[str], None]) -> bool:
         doubt(_left_out(_EDGES, error))
         return False
     return True
+
+
+def _fit_boxes(
+    drives: list[Drive], done: ScoredDrives, provenance: dict[str, Any], doubt: Callable[[str], None]
+) -> BoxSource | None:
+    """Where the edges of detected boxes are (their count goes to the provenance); None where they are too few."""
+    outlines = list(seen_boxes(drives, done.frames, done.request.given.scene.prior))
+    try:
+        source = fit_boxes(outlines)
+    except InvalidInputError as error:
+        doubt(_left_out(_EDGES, error))
+        return None
+    provenance["outlines"] = len(outlines)
+    return source
 
 
 def _left_out(what: str, error: InvalidInputError) -> str:

@@ -71,17 +71,9 @@ def demo_command(
         animate(animation, sight)
 
     screen.print(report.table(truth, stages))
-    hidden, wrong = int((~scene.truth.visible).sum()), int(scene.truth.outlier.sum())
-    again = f"{out / 'keypoints.json'} --image {out / 'image.png'} --camera-height {scene.ground.distance:g}"
-    screen.print(
-        f"A simulated car with {len(seen.keypoints)} keypoints: {hidden} hidden, {wrong} measured in a wrong place.",
-        f"{result.status.value}: {result.message}",
-    )
+    screen.print(*report.in_words(scene, result))
     screen.detail(*details(result))
-    screen.print(
-        f"Play it back with: fgrecon replay {out / 'recording.rrd'}",
-        f"Do it again with: fgrecon reconstruct {again}",
-    )
+    screen.print(*report.next_commands(scene, out))
     names = ("image.png", "keypoints.json", "result.json", "picture.png", "scene.jpg", "recording.rrd")
     screen.wrote(*(out / name for name in names), *([] if animation is None else [animation]))
     screen.write_json(document)

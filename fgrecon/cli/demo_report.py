@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,9 @@ __all__ = [
     "FORMAT",
     "Stage",
     "document",
+    "in_words",
     "keypoint_file",
+    "next_commands",
     "observation_to_dict",
     "stages",
     "street_picture",
@@ -105,6 +108,25 @@ def table(truth: Truth, estimates: Iterable[Stage]) -> Table:
 def _pose_cells(pose: NDArray[np.float64], size: Iterable[float]) -> tuple[str, str, str]:
     place, extent = (", ".join(f"{number:.2f}" for number in numbers) for numbers in (pose[:3, 3], size))
     return f"{np.degrees(rotation_y(pose)):.1f}", place, extent
+
+
+def in_words(scene: DemoScene, result: Reconstruction) -> tuple[str, str]:
+    """Lines about what was simulated and what became of it."""
+    hidden, wrong = int((~scene.truth.visible).sum()), int(scene.truth.outlier.sum())
+    count = len(scene.observation.keypoints)
+    return (
+        f"A simulated car with {count} keypoints: {hidden} hidden, {wrong} measured in a wrong place.",
+        f"{result.status.value}: {result.message}",
+    )
+
+
+def next_commands(scene: DemoScene, out: Path) -> tuple[str, str]:
+    """Lines about commands that go on with what was written into a folder."""
+    again = f"{out / 'keypoints.json'} --image {out / 'image.png'} --camera-height {scene.ground.distance:g}"
+    return (
+        f"Play it back with: fgrecon replay {out / 'recording.rrd'}",
+        f"Do it again with: fgrecon reconstruct {again}",
+    )
 
 
 def document(

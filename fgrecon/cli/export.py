@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +23,35 @@ def _kinds() -> list[str]:
     return list(KINDS)
 
 
+@dataclass(frozen=True)
+class ExportOptions:
+    """What kind of file is written, and what it needs beside the results."""
+
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="NAME",
+            help=_FORMATS,
+            show_default="by the ending",
+            autocompletion=fitting_names(_kinds),
+        ),
+    ] = None
+    images: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.json", help="Tokens, ids, times and camera poses of the images (see File formats)."),
+    ] = None
+    prior: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Shape prior that the results' surfaces are made from.",
+            show_default="as the results say",
+            autocompletion=PRIORS,
+        ),
+    ] = None
+
+
 def export_command(
     results: Annotated[
         Path,
@@ -34,30 +64,8 @@ def export_command(
         Path,
         typer.Argument(metavar="OUT", help="File to write: .ply, .glb, .csv, .parquet, .txt (KITTI), .json, .mcap."),
     ],
+    options: ExportOptions,
     terminal: Verbosity,
-    kind: Annotated[
-        str | None,
-        typer.Option(
-            "--format",
-            metavar="NAME",
-            help=_FORMATS,
-            show_default="by the ending",
-            autocompletion=fitting_names(_kinds),
-        ),
-    ] = None,
-    images: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.json", help="Tokens, ids, times and camera poses of the images (see File formats)."),
-    ] = None,
-    prior: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Shape prior that the results' surfaces are made from.",
-            show_default="as the results say",
-            autocompletion=PRIORS,
-        ),
-    ] = None,
 ) -> None:
     """Write results for other programs; the ending of OUT, or --format, chooses the kind of file.
 
@@ -73,19 +81,19 @@ def export_command(
     from fgrecon.io.export.video_frames import check_video_format, frames_file
     from fgrecon.io.files import check_output
 
-    check_format(out, kind)
+    check_format(out, options.kind)
     check_output(out)
-    images_known = None if images is None else read_images_file(images)
+    images_known = None if options.images is None else read_images_file(options.images)
     if (frames := frames_file(results)) is not None:
-        check_video_format(out, kind)
+        check_video_format(out, options.kind)
         found, images_known = read_video_frames(frames, images_known)
     elif results.is_dir():
         from fgrecon.batch import read_folder
 
-        found = read_folder(results, prior)
+        found = read_folder(results, options.prior)
     else:
-        found = read_results(results, prior)
-    export(out, found, kind, images_known)
+        found = read_results(results, options.prior)
+    export(out, found, options.kind, images_known)
     screen = terminal.screen()
     for vehicle in found:
         screen.detail(f"{vehicle.name}: {vehicle.result.status.value}")

@@ -83,6 +83,7 @@ def passes(monkeypatch):
             boxes=boxes(factor, made.vehicles),
             frames=frames,
             drives=[None],
+            request=request,
             networks=list,
             in_words=lambda: "1 drive.",
         )
