@@ -41,7 +41,10 @@ def perform(job: VideoJob, viewer: Viewer, screen: Screen) -> VideoRun:
             advance("Frames", len(run.frames), run.total, f"{counted(len(run.frames[-1].boxes), 'car')} now{gaps}")
             return not stopped
 
-        return track_video(job, screen.warn, go_on=go_on, window_graph=viewer.requested)
+        def smoothing(run: VideoRun) -> None:
+            advance("Smoothing", 0, None, counted(len(run.tracks), "car"))
+
+        return track_video(job, screen.warn, go_on=go_on, smoothing=smoothing, window_graph=viewer.requested)
 
 
 @contextmanager
@@ -97,12 +100,14 @@ def draw(job: VideoJob, run: VideoRun, picture: Path | None, screen: Screen) -> 
             screen.wrote(film(request.video, job.source, run.frames, job.camera, advance))
     if picture is None:
         return True
-    number = request.picture_frame
+    number, known = request.picture_frame, [frame.number for frame in run.frames]
     drawn = still(picture, job.source, run.frames, job.camera, job.settings.ground, number)
     if drawn:
         screen.wrote(picture)
     else:
         where = "any frame" if number is None else f"frame {number}"
+        if number is not None and number not in known:
+            where += f", which is not there: the frames are {min(known)} to {max(known)}"
         screen.fail(f"{picture} is not written: there is no vehicle in {where}.")
     return drawn
 

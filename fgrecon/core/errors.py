@@ -22,6 +22,7 @@ __all__ = [
     "FgreconError",
     "InvalidInputError",
     "MissingPackageError",
+    "UncoveredFramesWarning",
 ]
 
 
@@ -61,6 +62,10 @@ class ChildNotBegunError(FgreconError, RuntimeError):
 
 class AssumedCameraWarning(UserWarning):
     """No camera was given, and a field of view was assumed: distances are rough."""
+
+
+class UncoveredFramesWarning(UserWarning):
+    """What is given by frame, such as the camera's poses, is not of all frames, or of others as well."""
 
 
 class DamagedFileWarning(UserWarning):

@@ -28,7 +28,7 @@ LEAST_SCORE = 0.5
 _CLASSES = "classes.txt"
 _FIX = (
     "Give KITTI labels (object, tracking), detections `image class score x1 y1 x2 y2`, YOLO's `class x y w h`, COCO "
-    "JSON, or nuScenes' tables."
+    "JSON, or nuScenes' tables. MOT's lines are of a video: `fgrecon run --tracks`."
 )
 
 
@@ -40,11 +40,15 @@ class NamedBox:
         name: Its id.
         corners: (4,) x1, y1, x2, y2 in pixels.
         model: What it encloses.
+        score: Of its detector, or None.
+        track: Id that a tracker gave it, or None.
     """
 
     name: str
     corners: NDArray[np.float64]
     model: BoxModel
+    score: float | None = None
+    track: int | None = None
 
 
 def read_boxes(
@@ -57,9 +61,9 @@ def read_boxes(
 
     Args:
         file: KITTI label or result file (object or tracking, type `Car`), detections with lines
-            `image class score x1 y1 x2 y2 [box model]`, YOLO's lines `class x y w h [score]` in parts of the image
-            (cars are class 2, or the line `car` of a `classes.txt` beside the file), COCO JSON, the folder of nuScenes'
-            tables; or a folder with such a file for each image, of its name.
+            `image class score x1 y1 x2 y2 [box model]`, YOLO's lines `class x y w h [score] [track]` in parts of the
+            image (cars are class 2, or the line `car` of a `classes.txt` beside the file), COCO JSON, the folder of
+            nuScenes' tables; or a folder with such a file for each image, of its name.
         image: Name of the image, without ending. Folders before it choose among images of that name (COCO).
         size: Width and height of the image, pixels, which YOLO's boxes need.
         least_score: Boxes of a lower score are left out; None for 0.5, and all of KITTI's results, whose scores are
@@ -90,7 +94,9 @@ def read_boxes(
         if relative is not None:
             box = relative.in_image(file, number, size)
         if box is not None and not box.below(least_score):
-            boxes.append(NamedBox(str(number if box.named else len(boxes)), box.corners, box.model))
+            boxes.append(
+                NamedBox(str(number if box.named else len(boxes)), box.corners, box.model, box.score, box.track)
+            )
     return boxes
 
 
@@ -103,6 +109,7 @@ class _Box:
     named: bool
     score: float | None
     unit: bool = True
+    track: int | None = None
 
     def below(self, least: float | None) -> bool:
         """Whether its score is lower than is allowed."""
@@ -113,11 +120,12 @@ class _Box:
 
 @dataclass(frozen=True)
 class _Relative:
-    """A line of YOLO's: number of the class, centre and size of the box in parts of the image, score."""
+    """A line of YOLO's: number of the class, centre and size of the box in parts of the image, score, track."""
 
     kind: int
     box: NDArray[np.float64]
-    score: float
+    score: float | None
+    track: int | None
 
     def in_image(self, file: Path, number: int, size: tuple[int, int] | None) -> _Box | None:
         """The box in pixels; None where it is of no car."""
@@ -126,17 +134,26 @@ class _Relative:
         if self.kind != _car_class(file):
             return None
         centre, half = self.box[:2] * size, self.box[2:] * size / 2
-        return _Box(np.concatenate([centre - half, centre + half]), BoxModel.SURFACE, named=True, score=self.score)
+        corners = np.concatenate([centre - half, centre + half])
+        return _Box(corners, BoxModel.SURFACE, named=True, score=self.score, track=self.track)
 
 
 def _relative(words: list[str]) -> _Relative | None:
-    """A line of YOLO's, or None where it is none; raises ValueError where a number is out of range."""
-    if len(words) not in (_YOLO_COLUMNS, _YOLO_COLUMNS + 1) or not words[0].isdecimal():
+    """A line of YOLO's, `class x y w h` and behind it a score, the whole number of a track, or both; None: it is none.
+
+    Raises:
+        ValueError: A number is out of range.
+    """
+    more = len(words) - _YOLO_COLUMNS
+    if not (words[0].isdecimal() and 0 <= more <= 2):
         return None
-    numbers = np.array(words[1:], dtype=np.float64)
-    if not ((numbers >= 0) & (numbers <= 1)).all():
-        raise ValueError("parts of the image are from 0 to 1")
-    return _Relative(int(words[0]), numbers[:4], float(numbers[4]) if len(words) > _YOLO_COLUMNS else 1.0)
+    track = int(words[-1]) if more and words[-1].isdecimal() else None
+    numbers = np.array(words[1:] if track is None else words[1:-1], dtype=np.float64)
+    if len(numbers) > _YOLO_COLUMNS or not ((numbers >= 0) & (numbers <= 1)).all():
+        if more == 2 and words[1].isdecimal():  # a line of detections, which has as many columns
+            return None
+        raise ValueError("parts of the image are from 0 to 1, and a track is a whole number")
+    return _Relative(int(words[0]), numbers[:4], float(numbers[4]) if len(numbers) == _YOLO_COLUMNS else None, track)
 
 
 def _of_line(words: list[str], line: str, image: str) -> _Box | None:

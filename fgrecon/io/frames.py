@@ -50,6 +50,7 @@ class ImageFrames:
         times: Of each, seconds.
         numbered: Whether the names tell the numbers; else they are places.
         assumed_rate: Whether the times rest on frames per second that nobody gave.
+        left_out: Numbers of the images that were not chosen.
     """
 
     paths: tuple[Path, ...]
@@ -58,6 +59,7 @@ class ImageFrames:
     times: tuple[float, ...]
     numbered: bool
     assumed_rate: bool = False
+    left_out: frozenset[int] = frozenset()
 
     @property
     def first_file(self) -> Path:
@@ -226,6 +228,7 @@ def _images(paths: Sequence[Path], rate: float | None, choice: Choice) -> ImageF
         tuple(times[i] for i in taken),
         found.numbered,
         assumed,
+        frozenset(found.numbers).difference(found.numbers[i] for i in taken),
     )
 
 

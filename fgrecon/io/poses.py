@@ -50,6 +50,17 @@ class CameraPoses:
     times: tuple[float, ...] = ()
     poses: tuple[Array, ...] = ()
 
+    def __bool__(self) -> bool:
+        """Whether there is a pose."""
+        return bool(self.times or self.by_frame)
+
+    @property
+    def span(self) -> str:
+        """The frames, or the seconds, that the poses are of; there must be one."""
+        if self.times:
+            return f"{self.times[0]:.10g} to {self.times[-1]:.10g} s"
+        return f"frames {min(self.by_frame)} to {max(self.by_frame)}"
+
     def at(self, number: int, time: float) -> Array | None:
         """(4, 4) world_T_camera of a frame; None where the file has none for it.
 

@@ -18,7 +18,7 @@ from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.io.frame_names import DEFAULT_RATE
 from fgrecon.io.source_frames import Choice, SourceFrame, sized
 
-__all__ = ["VIDEOS", "VideoFrames", "count_frames", "open_video"]
+__all__ = ["VIDEOS", "VideoFrames", "count_frames", "open_video", "packet_times"]
 
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")
 """Endings of videos."""
@@ -32,7 +32,8 @@ class VideoFrames:
 
     Attributes:
         path: The file.
-        count: How many frames its head tells that are taken; None where it does not.
+        count: About how many frames are taken, by its head, which often tells something else than there is: for
+            progress alone. None where it tells nothing.
         choice: Which frames are taken.
         lasts: Seconds, as its head tells; None where it does not.
     """
@@ -100,20 +101,27 @@ def open_video(path: Path, choice: Choice) -> VideoFrames:
 
 
 def count_frames(path: Path) -> int:
-    """How many frames a video has: its packets are counted, and not decoded.
+    """How many frames a video has, by its packets (`packet_times`)."""
+    return len(packet_times(path))
+
+
+def packet_times(path: Path) -> list[float]:
+    """Seconds of each packet of a video, in the file's order, NaN where it tells none; none is decoded.
+
+    A frame is one packet, so that there are not more frames than these.
 
     Raises:
         InvalidInputError: It is no video that FFmpeg reads.
         MissingPackageError: PyAV is not installed.
     """
-    count = 0
+    times: list[float] = []
     with _opened(path) as container:
         try:
-            for packet in container.demux(container.streams.video[0]):
-                count += packet.size > 0
+            packets = (packet for packet in container.demux(container.streams.video[0]) if packet.size > 0)
+            times.extend(np.nan if one.pts is None else float(one.pts * one.time_base) for one in packets)
         except _av().error.FFmpegError:  # the file breaks off: what is missing is no frame
             pass
-    return count
+    return times
 
 
 def _decoded(path: Path, lasts: float | None) -> Iterator[_Decoded]:

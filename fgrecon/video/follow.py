@@ -122,7 +122,7 @@ class Follower:
         """
         self._window_graph = window_graph
         self.tracker, self.association, self.camera, self.ground = tracker, association, camera, ground
-        self._path = CameraPath(poses, moving=moving)
+        self.poses, self._path = poses, CameraPath(poses, moving=moving)
         self._time = -np.inf
         self._kinds: dict[int, Counter[str]] = {}  # what each vehicle is said to be, frame by frame
         self._last: dict[int, tuple[float, Array, Array]] = {}  # time, place and velocity of each vehicle

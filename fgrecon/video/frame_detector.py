@@ -23,6 +23,7 @@ class FrameDetector:
 
     Attributes:
         category: Category of the keypoints.
+        given: Vehicles by the number of their frame, or None.
     """
 
     def __init__(
@@ -42,7 +43,7 @@ class FrameDetector:
             given: Vehicles by the number of their frame, instead of the detector's.
         """
         self.category = category
-        self._vehicles, self._keypoints, self._given = vehicle_detector, keypoint_detector, given
+        self._vehicles, self._keypoints, self.given = vehicle_detector, keypoint_detector, given
 
     def __call__(self, frame: SourceFrame) -> FrameRecord:
         """What a frame shows; one that cannot be read shows what was given for it, and one of another size nothing.
@@ -51,15 +52,15 @@ class FrameDetector:
             InvalidInputError: A detector returns something else than its protocol says.
         """
         if frame.image is None:
-            kept = () if frame.other_size or self._given is None else self._given.get(frame.number, ())
+            kept = () if frame.other_size or self.given is None else self.given.get(frame.number, ())
             detections = tuple(sighting for sighting in kept if sighting.observation is not None)
             return FrameRecord(frame.number, frame.time, frame.name, frame.problem, detections)
         sightings = self._sightings(frame.number, frame.image)
         return FrameRecord(frame.number, frame.time, frame.name, None, tuple(sightings))
 
     def _sightings(self, number: int, image: NDArray[np.uint8]) -> list[Sighting]:
-        if self._given is not None:
-            sightings = list(self._given.get(number, ()))
+        if self.given is not None:
+            sightings = list(self.given.get(number, ()))
         else:
             assert self._vehicles is not None
             vehicles = find_vehicles(self._vehicles, image)

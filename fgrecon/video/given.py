@@ -3,6 +3,7 @@
 | file | what is in it |
 |---|---|
 | `.txt` | KITTI's tracking labels or results: boxes of cars and vans; the track -1 is none |
+| `.txt` | MOT's lines `frame,id,x,y,w,h,score,...`: boxes; the id -1 is none. With a class (nine columns), cars alone |
 | `.json` | a keypoint file whose instances name their `frame`, or an `image`; and a `track` |
 | `.json` | a track file: one vehicle |
 
@@ -41,6 +42,12 @@ KINDS = ("Car", "Van")
 
 _LARGEST_ID = 2**62  # ids that are given anew go on from the largest, and tables have 64 bits for them
 
+_MOT_COLUMNS, _MOT_LABEL_COLUMNS, _MOT_CAR = 6, 9, 3
+_FORMATS = "KITTI's tracking lines, MOT's (class 3 where they tell classes) or a keypoint file"
+_MOT_FIX = (
+    "Give MOT's lines: frame,id,x,y,w,h with a score or more behind it, x and y of the upper left corner in pixels."
+)
+
 _Rows = list[tuple[int, Sighting]]
 _Times = Mapping[int, float]
 
@@ -70,7 +77,7 @@ class Given:
     @property
     def association(self) -> AssociationSettings:
         """How those without an id are followed: each begins a track, since scores of boxes are of any scale."""
-        return AssociationSettings(min_birth_score=-np.inf)
+        return AssociationSettings(min_birth_score=-np.inf, birth_observations=1)
 
     @property
     def complete(self) -> bool:
@@ -93,15 +100,19 @@ def read_given(path: Path, category: Category, *, forget_ids: bool = False, sour
     """
     by_frame: dict[int, list[Sighting]] = defaultdict(list)
     is_json = path.suffix.lower() == ".json"
-    rows, camera, times = _keypoints(path, category, source) if is_json else (_boxes(path), None, None)
+    is_mot = not is_json and _is_mot(path)
+    if is_json:
+        rows, camera, times = _keypoints(path, category, source)
+    else:
+        rows, camera, times = _mot(path, source) if is_mot else _boxes(path), None, None
     for number, sighting in rows:
         by_frame[number].append(replace(sighting, identity=None) if forget_ids else sighting)
     for number, sightings in by_frame.items():
         _check_ids([s.identity for s in sightings if s.identity is not None], f"{path}: frame {number}")
     if not by_frame:
-        raise InvalidInputError("tracks", str(path), f"Give a file with a vehicle: {' or '.join(KINDS)}.")
+        raise InvalidInputError("tracks", str(path), f"Give a file with a vehicle: {' or '.join(KINDS)}; {_FORMATS}.")
     vehicles = {number: tuple(sightings) for number, sightings in by_frame.items()}
-    return Given(vehicles, camera, not is_json, times)
+    return Given(vehicles, camera, not (is_json or is_mot), times)
 
 
 def _check_ids(ids: Sequence[int], place: str) -> None:
@@ -121,6 +132,38 @@ def _boxes(path: Path) -> _Rows:
                 identity = None if track < 0 else track
                 known = 1.0 if np.isnan(score) else score
                 rows.append((number, Sighting(labels.objects.box[i], known, identity, None, kind)))
+    return rows
+
+
+def _is_mot(path: Path) -> bool:
+    """Whether the first line has MOT's commas; a file that cannot be read is refused by whoever reads it."""
+    try:
+        return "," in next((line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()), "")
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+def _mot(path: Path, source: FrameSource | None) -> _Rows:
+    """MOT's boxes; its frames count from 1, as do those of its images, and those of a video from 0."""
+    first = 0 if source is None or (isinstance(source, ImageFrames) and source.numbered) else 1
+    rows = []
+    for place, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1):
+        if not line.strip():
+            continue
+        try:
+            values = np.array(line.split(","), dtype=np.float64)
+            (frame, identity), size = values[:2].astype(np.int64).tolist(), values[4:6]
+            whole = np.isfinite(values).all() and (values[:2] == (frame, identity)).all()
+            if not (whole and frame >= first and (size > 0).all() and _MOT_COLUMNS <= len(values) <= _MOT_COLUMNS + 4):
+                raise ValueError(line)
+        except ValueError as error:
+            raise InvalidInputError(f"{path}:{place}", line[:80], _MOT_FIX) from error
+        labelled = len(values) == _MOT_LABEL_COLUMNS
+        if labelled and (values[7] != _MOT_CAR or values[6] == 0):  # of another class, or not to be considered
+            continue
+        score = 1.0 if len(values) == _MOT_COLUMNS or values[6] == -1 else float(values[6])
+        box = np.concatenate([values[2:4], values[2:4] + size])
+        rows.append((frame - first, Sighting(box, score, identity if identity >= 0 else None, None)))
     return rows
 
 
@@ -205,4 +248,5 @@ def _sighting(instance: Instance, path: Path) -> Sighting:
         raise InvalidInputError(f"{place}: keypoints", "none", "Give at least one, or leave the instance out.")
     around = box_around(points)
     box = around if observation.box is None else observation.box
-    return Sighting(box, 1.0, instance.track, observation, instance.kind)
+    score = 1.0 if instance.score is None else instance.score
+    return Sighting(box, score, instance.track, observation, instance.kind)

@@ -11,6 +11,7 @@ stored for one camera and one ground: with another they are estimated again, and
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise, zip_longest
@@ -20,9 +21,10 @@ from typing import Any
 import numpy as np
 
 from fgrecon.batch.parts import RECORDS, Parts, begin, claimed, refuse_batch
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
 from fgrecon.core.text import whole_text
 from fgrecon.io.frames import FrameSource, ImageFrames, SourceFrame
+from fgrecon.video.coverage import check_coverage, coverage_warnings, planned_frames
 from fgrecon.video.follow import Follower, TrackedFrame
 from fgrecon.video.frame_detector import FrameDetector
 from fgrecon.video.motion_estimator import MotionEstimator
@@ -48,11 +50,12 @@ class VideoRun:
     """How far a run over a video has come.
 
     Attributes:
-        total: Frames of the source, as far as it tells; else None.
+        total: About how many frames the source has, for progress; None where it does not tell.
         before: Frames that runs before this one had looked at.
         stopped: Whether it was stopped before its end.
         smoothed: Whether the estimates of a frame know what came after it.
         frames: The frames so far.
+        warnings: What is given by frame and is not of these frames.
     """
 
     total: int | None
@@ -60,6 +63,7 @@ class VideoRun:
     stopped: bool = False
     smoothed: bool = False
     frames: list[TrackedFrame] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
     @property
     def gaps(self) -> dict[str, str]:
@@ -86,6 +90,19 @@ class VideoRun:
         """How many estimates there are."""
         return sum(len(frame.estimates) for frame in self.frames)
 
+    def smooth(self, follower: Follower) -> None:
+        """Put the smoother's estimates in the place of the first ones, as far back as it goes.
+
+        Args:
+            follower: What has followed the vehicles.
+        """
+        smoothed = {(i, one.time): one for i, known in follower.tracker.smooth().items() for one in known}
+        self.frames = [
+            replace(frame, estimates={i: smoothed.get((i, frame.time), first) for i, first in frame.estimates.items()})
+            for frame in self.frames
+        ]
+        self.smoothed = True
+
 
 def run_video(
     source: FrameSource,
@@ -107,7 +124,7 @@ def run_video(
         out: Folder of the run; records go to a folder in it.
         settings: What the records depend on, as plain values; a folder is for one such.
         motion: Estimates the camera's motion, a new one; None where it is not estimated.
-        online: Whether estimates stay as they were when their frame came, instead of being smoothed.
+        online: Whether estimates stay as they were when their frame came, until `VideoRun.smooth`.
         go_on: Called after each frame with the run and the frame's pixels, None for what runs before had looked at;
             returns whether to go on.
 
@@ -116,12 +133,16 @@ def run_video(
 
     Raises:
         InvalidInputError: The folder holds a batch, another run or one that is going on, or images that it has looked
-            at are no more, or others have come before them.
+            at are no more, or others have come before them; or no frame has a pose or a vehicle of those given.
 
     Warns:
+        UncoveredFramesWarning: Frames have no pose of those given, or vehicles are given for frames that are not there.
         DamagedFileWarning: Stored records are damaged; their frames, and those after them, are looked at again.
     """
     refuse_batch(out)
+    given = (follower.poses, None if look.given is None else look.given.keys())
+    if any(given):
+        check_coverage(planned_frames(source) or (), *given)
     begin(out / RECORDS, settings, FORMAT)
     run = VideoRun(source.count)
     with claimed(out / RECORDS):
@@ -131,13 +152,18 @@ def run_video(
             for record, frame in looked.records():
                 run.frames.append(follower(record))
                 if not go_on(run, frame):
-                    run.stopped = run.total is None or len(run.frames) < run.total
+                    run.stopped = len(run.frames) < run.before or looked.more_after(record.number)
                     break
         finally:
             looked.flush()
+    if not run.stopped:
+        frames = [(frame.number, frame.time) for frame in run.frames]
+        check_coverage(frames, *given)
+        run.warnings = coverage_warnings(frames, source, *given)
+        for line in run.warnings:
+            warnings.warn(line, UncoveredFramesWarning, stacklevel=2)
     if not online:
-        run.frames = _smoothed(run.frames, follower)
-        run.smoothed = True
+        run.smooth(follower)
     return run
 
 
@@ -157,6 +183,7 @@ class _Records:
         settings: Mapping[str, Any],
     ) -> None:
         self._source, self._look, self._motion = source, look, motion
+        self._reading: Iterator[SourceFrame] | None = None
         self._records = Parts(out / RECORDS, record_schema())
         self.stored = [from_row(row) for row in self._records.rows_in_order()]
         if isinstance(source, ImageFrames):  # only these have names; of a file the settings can tell whether it changed
@@ -172,6 +199,10 @@ class _Records:
         if self._motion is not None:
             self._motions.flush()
 
+    def more_after(self, number: int) -> bool:
+        """Whether a frame comes after this one, the last of `records`; it is read for it, since heads of files err."""
+        return next(self._reading or self._source.read(number), None) is not None
+
     def records(self) -> Iterator[tuple[FrameRecord, SourceFrame | None]]:
         """All records in order, each with its frame where that had to be read."""
         moving = self._motion
@@ -183,7 +214,8 @@ class _Records:
         before = next((record for record in reversed(whole) if record.problem is None), None)
         ahead = {record.number: record for record in self.stored[len(whole) :]}
         # The motion since the last image needs that image.
-        for frame in self._source.read(last if moving is None or before is None else before.number - 1):
+        self._reading = self._source.read(last if moving is None or before is None else before.number - 1)
+        for frame in self._reading:
             if moving is not None and before is not None and frame.number == before.number:
                 moving.remember(frame, before)
             if last is not None and frame.number <= last:
@@ -217,16 +249,3 @@ def _check_still_there(stored: Sequence[FrameRecord], source: ImageFrames, out: 
         if was != there:
             fix = f"Give another folder for these images: here {was} was looked at, where there is {there} now."
             raise InvalidInputError("out", str(out), f"{fix} Images may only be added after the last one.")
-
-
-def _smoothed(frames: list[TrackedFrame], follower: Follower) -> list[TrackedFrame]:
-    """The frames with the smoother's estimates in the place of the first ones, as far back as it goes."""
-    smoothed = {
-        (identity, estimate.time): estimate
-        for identity, estimates in follower.tracker.smooth().items()
-        for estimate in estimates
-    }
-    return [
-        replace(frame, estimates={i: smoothed.get((i, frame.time), first) for i, first in frame.estimates.items()})
-        for frame in frames
-    ]

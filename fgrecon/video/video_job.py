@@ -5,6 +5,7 @@ VideoRequest ---- prepare_video (read, check, find the camera) ---- VideoJob ---
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from fgrecon.batch.parts import refuse_batch
 from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from fgrecon.core.choices import BoxModel
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
 from fgrecon.core.input_warnings import Doubts, doubt_of, hardly_fits
 from fgrecon.core.text import counted
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
@@ -38,11 +39,13 @@ from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.poses import CameraPoses, read_poses
 from fgrecon.io.run_settings import RunSettings, content_hash
 from fgrecon.io.video import check_video
+from fgrecon.io.video_frames import packet_times
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.box_check import boxes_warning
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import GatedAssociation
+from fgrecon.video.coverage import check_coverage, planned_frames
 from fgrecon.video.focal import estimate_camera
 from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector
@@ -180,17 +183,17 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
     if request.picture_frame is not None and not _may_have(source, request.picture_frame):
         raise InvalidInputError("picture_frame", request.picture_frame, "Give the number of one of the frames.")
     poses = None if request.poses is None else read_poses(request.poses)
+    if poses or given:
+        check_coverage(planned_frames(source) or (), poses, None if given is None else given.vehicles.keys())
     camera, offset = _camera(request, source, given, settings, warn)
     return VideoJob(request, source, camera, offset, settings, given, poses, moving)
 
 
 def _may_have(source: FrameSource, number: int) -> bool:
-    """Whether there can be a frame of this number; a video's head may say a frame too few."""
+    """Whether there can be a frame of this number; of a video by its packets, since its head often errs."""
     if not isinstance(source, VideoFrames):
         return number in source.numbers
-    every, starts = source.choice.every, source.choice.start == 0.0
-    last = source.count * every if starts and source.count is not None else number
-    return 0 <= number <= last and number % every == 0
+    return number >= 0 and number % source.choice.every == 0 and number < len(packet_times(source.path))
 
 
 def _is_moving(request: VideoRequest, source: FrameSource) -> bool:
@@ -296,6 +299,7 @@ def track_video(
     warn: Warn,
     *,
     go_on: Callable[[VideoRun, SourceFrame | None], bool] = lambda run, frame: True,  # noqa: ARG005 - to the end
+    smoothing: Callable[[VideoRun], None] = lambda run: None,  # noqa: ARG005 - of interest to progress alone
     window_graph: bool = False,
 ) -> VideoRun:
     """Look at the frames, follow the vehicles, smooth.
@@ -304,6 +308,7 @@ def track_video(
         job: What is to be done.
         warn: Called with what is doubtful of the input.
         go_on: Called after each frame, as that of `fgrecon.video.run_video`.
+        smoothing: Called when the vehicles are smoothed next.
         window_graph: Whether frames keep the factor graph of the tracker's window, for a viewer.
 
     Raises:
@@ -322,36 +327,32 @@ def track_video(
         moving=job.moving,
         window_graph=tracker.window_graph if isinstance(tracker, Tracker) and window_graph else None,
     )
-    run = run_video(
-        job.source,
-        _detector(request.weights, job.settings, given),
-        follower,
-        request.out,
-        settings=job.records_depend_on,
-        motion=MotionEstimator(job.camera, ground) if job.moving and ground is not None else None,
-        online=request.online or request.alone,
-        go_on=go_on,
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UncoveredFramesWarning)  # said below
+        run = run_video(
+            job.source,
+            _detector(request.weights, job.settings, given),
+            follower,
+            request.out,
+            settings=job.records_depend_on,
+            motion=MotionEstimator(job.camera, ground) if job.moving and ground is not None else None,
+            online=True,
+            go_on=go_on,
+        )
+    if not (request.online or request.alone):
+        smoothing(run)
+        run.smooth(follower)
     if isinstance(tracker, Tracker) and (off := tracker.boxes_off()) is not None:
         warn(boxes_warning(off))
-    for line in _given_warnings(job, run):
+    for line in run.warnings + _keypoint_warnings(job, run):
         warn(line)
     return run
 
 
-def _given_warnings(job: VideoJob, run: VideoRun) -> list[str]:
-    """What to warn of the vehicles that were given: none in any frame, or doubtful keypoints."""
-    given, numbers = job.given, [frame.number for frame in run.frames]
-    if given is None:
+def _keypoint_warnings(job: VideoJob, run: VideoRun) -> list[str]:
+    """What to warn of keypoints that were given."""
+    if job.given is None or job.given.cuboids:  # boxes alone, in which the network has detected them
         return []
-    lines = []
-    if numbers and not run.stopped and given.vehicles.keys().isdisjoint(numbers):
-        lines.append(
-            f"No vehicle is given in a frame of the video: those are frames {min(numbers)} to {max(numbers)}, and the "
-            f"vehicles are in frames {min(given.vehicles)} to {max(given.vehicles)}."
-        )
-    if given.cuboids:  # no keypoints, but boxes in which the network has detected them
-        return lines
     doubts = Doubts()
     for frame in run.frames:
         for identity, seen in frame.observations.items():
@@ -359,7 +360,7 @@ def _given_warnings(job: VideoJob, run: VideoRun) -> list[str]:
             doubts.add(name, doubt_of(seen, job.camera))
             if (estimate := frame.estimates.get(identity)) is not None:
                 doubts.add_fit(name, hardly=hardly_fits(seen, estimate.reconstruction.diagnostics.weights))
-    return lines + doubts.lines()
+    return doubts.lines()
 
 
 def write_tracks(job: VideoJob, run: VideoRun) -> None:

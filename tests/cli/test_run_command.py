@@ -370,8 +370,8 @@ def test_frames_of_which_none_can_be_read(tmp_path):
 
 def test_no_car_is_exit_code_1(drive, tmp_path):
     labels = tmp_path / "labels.txt"
-    labels.write_text("99 1 Car 0 0 0 20 30 110 80 1.5 1.6 4.0 0.5 1.6 15.0 1.5\n")
-    done = run(drive[0], "--tracks", labels, "--out", tmp_path / "out", "--fps", 10, "--end", 0.2)
+    labels.write_text("5 1 Car 0 0 0 -90 30 -10 80 1.5 1.6 4.0 0.5 1.6 15.0 1.5\n")
+    done = run(drive[0], "--tracks", labels, "--out", tmp_path / "out", "--fps", 10, "--end", 0.3)
     assert done.exit_code == 1
     assert (tmp_path / "out" / "tracks.txt").read_text() == ""
 

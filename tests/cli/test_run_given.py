@@ -38,18 +38,25 @@ def test_given_boxes_are_taken_whatever_their_scores(drive, tmp_path, score):
     assert [[(v["id"], v["score"]) for v in frame["vehicles"]] for frame in frames] == [[(0, score)]] * 3
 
 
-def test_vehicles_in_frames_of_another_video_are_warned_of(drive, tmp_path):
+def test_vehicles_in_frames_of_another_video_are_refused(drive, tmp_path):
     tracks = results(tmp_path / "tracks.txt", (100, 101, 107), 0.9)
     done = run(drive[0], "--tracks", tracks, *INTRINSICS, "--fps", 10, "--out", tmp_path / "out")
-    assert done.exit_code == 1
-    assert "Warning: No vehicle is given in a frame of the video: those are frames 3 to 5" in done.stderr
-    assert "vehicles are in frames 100 to 107" in done.stderr
+    assert "vehicles in frames 100 to 107. Give vehicles of the frames, 3 to 5" in str(done.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_vehicles_counted_from_another_number_are_warned_of(drive, tmp_path):
+    tracks = results(tmp_path / "tracks.txt", (4, 5, 6), 0.9)
+    done = run(drive[0], "--tracks", tracks, *INTRINSICS, "--fps", 10, "--out", tmp_path / "out")
+    assert done.exit_code == 0
+    assert "Warning: The vehicles of 1 frame are left out, which is not there" in done.stderr
+    assert "Do they count from 4 instead of 3?" in done.stderr
 
 
 def test_without_a_vehicle_there_is_no_picture_and_everything_else(drive, tmp_path):
-    tracks = results(tmp_path / "tracks.txt", (100,), 0.9)
+    """The images show nothing."""
     picture, summary = tmp_path / "a.png", tmp_path / "a.json"
-    asked = (drive[0], "--tracks", tracks, *INTRINSICS, "--fps", 10, "--out", tmp_path / "out")
+    asked = (drive[0], *INTRINSICS, "--fps", 10, "--out", tmp_path / "out")
     for frame in ((), ("--picture-frame", 4)):
         done = run(*asked, "--picture", picture, "--json", summary, *frame)
         assert done.exit_code == 1

@@ -171,3 +171,20 @@ def test_no_coco_ends_in_another_exception(tmp_path_factory, content):
 def test_no_line_ends_in_another_exception(tmp_path_factory, words):
     with contextlib.suppress(FgreconError):
         read_boxes(write(tmp_path_factory.getbasetemp() / "boxes.txt", " ".join(words)), "12", SIZE)
+
+
+def test_yolo_of_a_tracker(tmp_path):
+    """The id stands last, with a score before it or without."""
+    lines = "2 0.25 0.5 0.1 0.2 0.9 7\n2 0.5 0.5 0.1 0.1 12\n2 0.5 0.5 0.1 0.1 0\n2 0.75 0.5 0.1 0.2 0.3 4\n"
+    found = read_boxes(write(tmp_path / "street.txt", lines), "street", SIZE)
+    assert [(box.name, box.score, box.track) for box in found] == [("0", 0.9, 7), ("1", None, 12), ("2", None, 0)]
+    assert found[0].corners == pytest.approx([200, 160, 300, 240])
+
+
+@pytest.mark.parametrize(
+    "line", ["2 0.5 0.5 0.1 0.1 0.9 0.2", "2 0.5 0.5 0.1 0.1 1.5 3", "1,7,10,20,30,40,0.9,-1,-1,-1"]
+)
+def test_what_is_no_line_of_a_tracker_names_the_line(tmp_path, line):
+    path = write(tmp_path / "a.txt", f"2 0.5 0.5 0.1 0.1 0.9 3\n{line}\n")
+    with pytest.raises(InvalidInputError, match=r"a\.txt:2: got "):
+        read_boxes(path, "a", SIZE)

@@ -56,7 +56,7 @@ def test_a_car_that_is_hidden_for_a_while_is_reborn():
 
 def test_weak_detections_continue_tracks_and_begin_none():
     position = np.array([1.0, 1.65, 15.0])
-    scenes = [(0.1 * t, [seen_at(position, score)]) for t, score in enumerate((0.4, 0.9, 0.4, 0.4))]
+    scenes = [(0.1 * t, [seen_at(position, score)]) for t, score in enumerate((0.4, 0.97, 0.4, 0.4))]
     assert follow(scenes) == [[None], [0], [0], [0]]
 
 
@@ -162,3 +162,15 @@ def test_kittis_boxes_without_their_ids(data, drive, most):
             boxes += 1
     assert boxes > 100
     assert switches <= most, f"{switches} switches in {len(last)} tracks"
+
+
+def test_births_want_evidence():
+    """Of the first frame all are tracks; later ones when they are observed again soon, or beyond doubt."""
+    near, other, far = (np.array([x, 1.65, z]) for x, z in ((1.0, 15.0), (-6.0, 20.0), (8.0, 40.0)))
+    scenes = [(0.0, [seen_at(near, 0.6)]), (0.1, [seen_at(near, 0.6), seen_at(other, 0.7)])]
+    scenes += [(0.2, [seen_at(other, 0.7), seen_at(near, 0.6)]), (0.3, [seen_at(far, 0.96)])]
+    assert follow(scenes) == [[0], [0, None], [1, 0], [2]]
+    late = [(0.0, []), (0.1, [seen_at(near, 0.6)]), (0.8, [seen_at(near, 0.6)]), (0.9, [seen_at(near, 0.6)])]
+    assert follow(late) == [[], [None], [None], [0]]
+    once = GatedAssociation(settings=AssociationSettings(birth_observations=1))
+    assert follow(late, association=once) == [[], [0], [0], [0]]

@@ -7,6 +7,7 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
+from fgrecon.io.images import write_png
 from fgrecon.video import open_frames, read_given
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.records import (
@@ -198,3 +199,33 @@ def test_records_are_stored_with_every_bit():
     assert from_row(row).problem == "torn"
     (row,) = motion_to_table(gap).to_pylist()
     assert motion_from_row(row) is None
+
+
+def test_mots_lines_are_boxes(tmp_path):
+    """Those of its images count from 1; a video's frames count from 0."""
+    path = tmp_path / "mot.txt"
+    path.write_text("1,7,10,20,30,40,0.9,-1,-1,-1\n\n2,-1,10.5,20,30,40,-1,-1,-1,-1\n")
+    given = read_given(path, CAR14)
+    first, second = given.vehicles[1][0], given.vehicles[2][0]
+    assert (first.identity, first.score, first.box.tolist()) == (7, 0.9, [10, 20, 40, 60])
+    assert (second.identity, second.score, given.cuboids) == (None, 1.0, False)
+    (tmp_path / "street").mkdir()
+    for name in ("car", "bus", "van"):
+        write_png(tmp_path / "street" / f"{name}.png", np.zeros((8, 8, 3), np.uint8))
+    assert set(read_given(path, CAR14, source=open_frames(tmp_path / "street")).vehicles) == {0, 1}
+    path.write_text("1,7,10,20,30,40,1,3,0.8\n1,8,10,20,30,40,1,1,0.8\n1,9,10,20,30,40,0,3,0.8\n")
+    assert [s.identity for s in read_given(path, CAR14).vehicles[1]] == [7]
+
+
+@pytest.mark.parametrize("line", ["2,7,10,20,30", "2,7,10,20,30,x,1", "2,7.5,10,20,30,40,1", "2,7,10,20,0,40,1"])
+def test_a_malformed_line_of_mot_is_named(tmp_path, line):
+    path = tmp_path / "mot.txt"
+    path.write_text(f"1,7,10,20,30,40,0.9\n{line}\n")
+    with pytest.raises(InvalidInputError, match=r"mot\.txt:2: got "):
+        read_given(path, CAR14)
+
+
+def test_scores_of_keypoints_are_kept(tmp_path):
+    (seen,) = (car[0] for car in simulated(1, seeds=(3,)))
+    (path := tmp_path / "a.json").write_text(json.dumps([instance(seen, 3, 1) | {"score": 0.37}]))
+    assert read_given(path, CAR14).vehicles[3][0].score == 0.37

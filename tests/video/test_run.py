@@ -1,14 +1,18 @@
 """Runs over videos: stopped and gone on with, they give what one that was not stopped gives."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
 from fgrecon.core.camera import Ground
-from fgrecon.core.errors import DamagedFileWarning, InvalidInputError
+from fgrecon.core.errors import DamagedFileWarning, InvalidInputError, UncoveredFramesWarning
 from fgrecon.io.catalogue import load_category
+from fgrecon.io.frames import ImageFrames
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.simulation import KITTI_CAMERA
 from fgrecon.video import (
+    CameraPoses,
     Follower,
     FrameDetector,
     GatedAssociation,
@@ -19,6 +23,7 @@ from fgrecon.video import (
     rows_of,
     run_video,
 )
+from fgrecon.video.coverage import coverage_warnings, planned_frames
 from tests.video.streets import make_drive
 
 CAR14 = load_category("car14")
@@ -116,8 +121,76 @@ def test_another_ground_needs_no_network(drive, tmp_path):
 
 def test_a_folder_is_for_one_run(drive, tmp_path):
     run(drive, tmp_path / "out", most=1)
+    follower = Follower(SingleImageTracker(prior="car14"), GatedAssociation(), KITTI_CAMERA)
     with pytest.raises(InvalidInputError, match="other settings"):
-        run_video(open_frames(drive[0]), None, None, tmp_path / "out", settings={"of": "another"})
+        run_video(open_frames(drive[0]), FrameDetector(CAR14), follower, tmp_path / "out", settings={"of": "another"})
+
+
+def follow_with_poses(drive, out, poses, *, given=None, most=99):
+    """A run with such poses of the camera, and vehicles for such frames instead of the file's."""
+    vehicles = read_given(drive[1], CAR14).vehicles
+    given = vehicles if given is None else dict.fromkeys(given, next(iter(vehicles.values())))
+    follower = Follower(SingleImageTracker(prior="car14"), GatedAssociation(), KITTI_CAMERA, poses=poses)
+    look, source = FrameDetector(CAR14, given=given), open_frames(drive[0], rate=10)
+    go_on = {"go_on": lambda run, _: len(run.frames) < most}
+    return run_video(source, look, follower, out, settings={"of": sorted(given)}, **go_on)
+
+
+def test_poses_of_no_frame_are_refused(drive, tmp_path):
+    """Frames 3 to 11, at 0.3 to 1.1 s."""
+    stamped = CameraPoses({}, (1.7e9, 1.7e9 + 0.5), (np.eye(4), np.eye(4)))
+    numbered = CameraPoses({100: np.eye(4), 104: np.eye(4)})
+    for poses, theirs, ours in (
+        (stamped, "1700000000 to 1700000000 s", "0.3 to 1.1 s"),
+        (numbered, "100 to 104", "3 to 11"),
+    ):
+        with pytest.raises(InvalidInputError, match="poses") as caught:
+            follow_with_poses(drive, tmp_path / "out", poses)
+        assert (theirs in str(caught.value), ours in str(caught.value)) == (True, True), caught.value
+        assert not (tmp_path / "out").exists()
+
+
+def test_frames_without_a_pose_are_counted(drive, tmp_path):
+    poses = CameraPoses({number: np.eye(4) for number in range(4, 13)})
+    with pytest.warns(
+        UncoveredFramesWarning, match=r"1 of 8 frames has no pose .* frames 4 to 12, the frames 3 to 11\. Do"
+    ) as seen:
+        found = follow_with_poses(drive, tmp_path / "out", poses)
+    assert (len(seen), found.warnings) == (1, [str(seen[0].message)])
+    assert "count from 4 instead of 3?" in found.warnings[0]
+    whole = CameraPoses({number: np.eye(4) for number in range(20)})
+    assert not follow_with_poses(drive, tmp_path / "out", whole).warnings
+    assert not follow_with_poses(drive, tmp_path / "stopped", poses, most=4).warnings
+
+
+def test_vehicles_of_frames_that_are_not_there_are_counted(drive, tmp_path):
+    with pytest.warns(
+        UncoveredFramesWarning, match="vehicles of 2 frames .* frames 4 to 12, there are 3 to 11. Do they count"
+    ):
+        follow_with_poses(drive, tmp_path / "out", None, given=(4, 7, 12))  # there is no frame 7
+    with pytest.raises(InvalidInputError, match=r"vehicles in frames 12 to 30\. Give vehicles of the frames, 3 to 11"):
+        follow_with_poses(drive, tmp_path / "none", None, given=(12, 30))
+    chosen = open_frames(drive[0], rate=10, every=2)
+    assert (chosen.numbers, chosen.left_out) == ((3, 5, 8, 10), {4, 6, 9, 11})
+    moments = planned_frames(chosen)
+    assert moments == [(3, 0.3), (5, 0.5), (8, 0.8), (10, 1.0)]
+    assert not coverage_warnings(moments, chosen, None, (3, 4, 11))
+
+
+def test_a_run_that_is_stopped_at_its_last_frame_has_ended(drive, tmp_path):
+    """Whatever the head of the file tells of the number of frames."""
+    look = FrameDetector(CAR14, given=read_given(drive[1], CAR14).vehicles)
+
+    class Guessing(ImageFrames):
+        count = 3
+
+    known = open_frames(drive[0], rate=10)
+    source = Guessing(*(getattr(known, field.name) for field in fields(known)))
+    for most, stopped in ((3, True), (5, True), (8, False), (2, True)):
+        follower = Follower(SingleImageTracker(prior="car14"), GatedAssociation(), KITTI_CAMERA)
+        go_on = {"go_on": lambda run, _, most=most: len(run.frames) < most}
+        found = run_video(source, look, follower, tmp_path / "out", settings={}, **go_on)
+        assert (len(found.frames), found.stopped) == (most, stopped)
 
 
 @pytest.mark.data
