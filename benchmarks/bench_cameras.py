@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from fgrecon.calibration.regions import normalised_squared_error
 from fgrecon.core.camera import ANY_FOCAL_SIGMA, Camera, Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.metrics import FAILURE_DEGREES, rotation_error
+from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Status
@@ -38,6 +38,7 @@ from fgrecon.perception.from_image import reconstruct_detections
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.simulation.vehicles import Vehicle, simulate, yaw_pose
 from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
+from fgrecon_research.evaluation.measures import rotation_error
 from fgrecon_research.training.keypoints.posed_cars import PosedCar, read_posed_cars, read_validation_ids
 
 Array = NDArray[np.float64]

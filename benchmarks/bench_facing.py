@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import TURNED_ROUND, BoxOutcome, outcome
 from fgrecon.calibration.regions import DIMENSIONS
+from fgrecon.core.coverage import reliability
 from fgrecon.core.geometry import view_azimuth
-from fgrecon.core.half_turn import turned_round
+from fgrecon.core.half_turn import flipped_observation
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
-from fgrecon.core.reliability import reliability
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import size_prior
 from fgrecon.core.vehicle_estimate import VehicleEstimate
@@ -68,7 +68,7 @@ def shown(vehicle: Vehicle, prior: ShapePrior, pose: Array, *, turned: bool, rng
     seen, _ = simulate(vehicle, KITTI_CAMERA, pose, rng)
     directions = np.exp((np.cos(_BINS - view_azimuth(pose[:3, :3], pose[:3, 3])) - 1.0) / 0.1) + 0.02
     seen = replace(seen, azimuth=directions / directions.sum())
-    return turned_round(seen, prior) if turned else seen
+    return flipped_observation(seen, prior) if turned else seen
 
 
 def scored(estimate: VehicleEstimate, pose: Array, size: Array) -> BoxOutcome:

@@ -23,9 +23,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fgrecon import Options, Tracker
-from fgrecon.core.metrics import THRESHOLDS, orientation_error, orientation_precision
+from fgrecon.core.metrics import orientation_error
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.track_file import GroundTruth, read_track
+from fgrecon_research.evaluation.measures import THRESHOLDS, orientation_precision
 
 TABLES = Path(__file__).parent / "tables"
 TOLD = {"+size": ["--size-prior", "kitti"], "+ground+size": ["--size-prior", "kitti", "--camera-height", "1.65"]}

@@ -24,11 +24,10 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon._version import __version__
     from fgrecon.core.box3d import Box3D, BoxErrors
     from fgrecon.core.camera import Camera, Ground
-    from fgrecon.core.category import Category
+    from fgrecon.core.category import Category, MotionModel
     from fgrecon.core.choices import BoxModel, StrategyName
     from fgrecon.core.detection import Detection
     from fgrecon.core.detector_calibration import DetectorCalibration
-    from fgrecon.core.motion import MotionModel
     from fgrecon.core.observation import Observation
     from fgrecon.core.options import BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
     from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y

@@ -20,7 +20,7 @@ from fgrecon.batch.tasks import nested, record_of
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.input_warnings import Doubt, doubt_of, hardly_fits
+from fgrecon.core.input_warnings import InputWarning, fits_poorly, input_warning_of
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior, SizesLike
@@ -165,12 +165,12 @@ class Reconstructor:
         """The row of one vehicle."""
         from fgrecon.solve.pipeline import reconstruct  # on use: whoever hands out the work needs no solver
 
-        doubt: Doubt | None = None
+        doubt: InputWarning | None = None
         try:
             if camera is None:
                 raise InvalidInputError("intrinsics", "nothing", "Give K with the row, or a camera for all of them.")
             seen = instance.observation
-            doubt = doubt_of(seen, camera)
+            doubt = input_warning_of(seen, camera)
             result = reconstruct(
                 seen,
                 camera,
@@ -182,8 +182,8 @@ class Reconstructor:
             )
         except Exception as error:  # noqa: BLE001 - one bad vehicle must not take the others of its row along
             return failed_row(origin, error, vehicle, name) | {"doubt": doubt}
-        if doubt is None and hardly_fits(seen, result.diagnostics.weights):
-            doubt = Doubt.FIT
+        if doubt is None and fits_poorly(seen, result.diagnostics.weights):
+            doubt = InputWarning.FIT
         return solved_row(origin, vehicle, name, result, camera, instance.box, instance.score) | {"doubt": doubt}
 
     def _image(self, task: Mapping[str, Any], origin: Row) -> Iterator[Row]:

@@ -19,7 +19,7 @@ from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.batch.rows import lost_rows, single_tasks, storable
 from fgrecon.batch.tasks import Tasks, TaskSolver
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.input_warnings import Doubt, Doubts
+from fgrecon.core.input_warnings import InputWarning, InputWarnings
 
 __all__ = ["Tally", "run"]
 
@@ -50,7 +50,7 @@ class Tally:
     statuses: Counter[str] = field(default_factory=Counter)
     errors: Counter[str] = field(default_factory=Counter)
     words: dict[str, str] = field(default_factory=dict)
-    doubts: Doubts = field(default_factory=Doubts)
+    doubts: InputWarnings = field(default_factory=InputWarnings)
     box_excesses: array[float] = field(default_factory=lambda: array("d"))
 
     def add(self, table: Any) -> None:
@@ -62,7 +62,7 @@ class Tally:
         self.doubts.judged += pc.count(table.column("camera_T_object")).as_py()
         for name, doubt in zip(*(table.column(name).to_pylist() for name in ("id", "doubt")), strict=True):
             if doubt is not None:
-                self.doubts.add(name or "", Doubt(doubt))
+                self.doubts.add(name or "", InputWarning(doubt))
         self.box_excesses.extend(pc.drop_null(table.column("box_excess")).to_pylist())
 
     def add_stored(self, outcomes: Iterable[RowOutcome]) -> None:

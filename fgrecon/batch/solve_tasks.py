@@ -14,7 +14,7 @@ from fgrecon.batch.pool import WorkerDiedError, work
 from fgrecon.batch.vehicle_tasks import VehicleTask, Watch
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.input_warnings import Doubts, hardly_fits
+from fgrecon.core.input_warnings import InputWarnings, fits_poorly
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.core.vehicle_mesh import ClosestModel, VehicleMesh, closest_model
@@ -233,11 +233,11 @@ def with_closest(outcomes: Sequence[Outcome], models: Sequence[VehicleMesh]) -> 
 
 def fit_warnings(outcomes: Iterable[Outcome]) -> list[str]:
     """What to warn of once vehicles are solved: in most of them hardly a keypoint fits."""
-    doubts = Doubts()
+    doubts = InputWarnings()
     for outcome in outcomes:
         seen = outcome.task.usable_observation
         if outcome.result is not None and seen is not None:
-            doubts.add_fit(outcome.name, hardly=hardly_fits(seen, outcome.result.diagnostics.weights))
+            doubts.add_fit(outcome.name, poorly=fits_poorly(seen, outcome.result.diagnostics.weights))
     return doubts.lines()
 
 

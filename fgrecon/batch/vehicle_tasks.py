@@ -15,7 +15,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.input_warnings import Doubts, doubt_of
+from fgrecon.core.input_warnings import InputWarnings, input_warning_of
 from fgrecon.core.observation import Observation
 from fgrecon.io.boxes import NamedBox
 from fgrecon.io.cameras.camera_source import CameraSource
@@ -213,8 +213,8 @@ def _networks(weights: Path | None) -> KeypointCascade:
 
 def input_warnings(tasks: Iterable[VehicleTask]) -> list[str]:
     """What to warn of before vehicles are solved: keypoints in other units, or not where the vehicle is."""
-    doubts = Doubts()
+    doubts = InputWarnings()
     for task in tasks:
         if (seen := task.usable_observation) is not None:
-            doubts.add(task.instance.name, doubt_of(seen, task.camera))
+            doubts.add(task.instance.name, input_warning_of(seen, task.camera))
     return doubts.lines()

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import SYSTEM, TURNED_ROUND, VideoBox, box_coverage, wanted
-from fgrecon.core.coverage import SIGMAS
+from fgrecon.core.coverage import SIGMAS, reliability
 from fgrecon.core.detection import calibrated_facing
 from fgrecon.core.detector_calibration import DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import KeypointOptions
-from fgrecon.core.reliability import reliability
 from fgrecon.io.kitti_drives import Drive
 
 __all__ = ["FACTORS", "FittedDetector", "as_said", "check_labels", "check_solved", "fit_detector", "holding"]
@@ -29,7 +28,7 @@ FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """The common factors that vehicles are reconstructed with; what is fitted lies between them."""
 
 _FEWEST = 30  # vehicles that regions are judged by
-_FEWEST_TURNED = 5  # turned round, without which nothing tells what a direction counts
+_FEWEST_TURNED = 5  # flipped, without which nothing tells what a direction counts
 _QUANTITIES = "position", "yaw"
 _FACING_BOUNDS = {"facing_bias": (-10.0, 10.0), "facing_slope": (0.0, 10.0)}
 _SHORT = 0.1  # regions hold so much less than they claim at most; those of the shipped networks are short by 0.09
@@ -53,7 +52,7 @@ class FittedDetector:
         facing_error: Expected calibration error of the facing, likewise.
         doubts: Sentences that say what could not be fitted, lies at an end of what was tried, or does not hold, or is
             not known to hold, on drives that were left out; in the calibration's provenance as well.
-        turned: Number of vehicles turned round; where they are too few the facing's numbers are the default ones.
+        turned: Number of vehicles whose heading is flipped; too few leave the facing's numbers at the default ones.
     """
 
     calibration: DetectorCalibration
@@ -103,7 +102,7 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
     check_solved(boxes)
     curves_of_all = _curves(scored)
     if not curves_of_all:
-        fix = "Give drives whose vehicles are seldom turned round: those are not judged."
+        fix = "Give drives whose vehicles are seldom flipped: those are not judged."
         raise InvalidInputError("drives", f"{len(solved)} vehicles without regions", fix)
     factor, facing, turned = _factor(curves_of_all), _facing(boxes), sum(_is_turned(box) for box in boxes)
     inside: dict[str, dict[float, float]] = {name: dict.fromkeys(SIGMAS, float("nan")) for name in _QUANTITIES}
@@ -129,7 +128,7 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
     error = reliability(said, right).error if said else float("nan")
     doubts = (*_end_of_factors(factor, curves_of_all), *_facing_doubts(facing, turned), *_not_holding(inside))
     shares = {name: {f"{p:g}": share for p, share in some.items() if share >= 0.0} for name, some in inside.items()}
-    told = {**provenance, "vehicles": len(solved), "turned_round": turned, "inside": shares, "doubts": list(doubts)}
+    told = {**provenance, "vehicles": len(solved), "flipped": turned, "inside": shares, "doubts": list(doubts)}
     return FittedDetector(DetectorCalibration(factor, *facing, told), inside, error, doubts, turned)
 
 
@@ -148,7 +147,7 @@ def _facing_doubts(facing: tuple[float, float], turned: int) -> list[str]:
     default = DetectorCalibration()
     if facing == (default.facing_bias, default.facing_slope):
         few = "too few vehicles are" if turned else "no vehicle is"
-        return [f"The facing's numbers are the default ones: {few} turned round."]
+        return [f"The facing's numbers are the default ones: {few} flipped."]
     return [
         f"{name} {value:.3g} is at an end of what was tried ({low:g} to {high:g})."
         for (name, (low, high)), value in zip(_FACING_BOUNDS.items(), facing, strict=True)

@@ -45,7 +45,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 TURNED_ROUND = 90.0
-"""Degrees of yaw error above which a vehicle is turned round."""
+"""Degrees of yaw error above which a vehicle's heading is flipped."""
 
 SYSTEM = "reconstruct_image"
 """The whole way, which `fgrecon.reconstruct_image` goes: networks, both stages, and the network's direction."""
@@ -73,7 +73,7 @@ class BoxOutcome:
         failure: Why there is no pose, or None.
         off: Estimated minus labelled yaw in degrees, and origin (3) in metres; None where it was not wanted.
         squared: Normalised squared errors of `position`, `yaw`, `size` and `velocity`, as far as there are covariances
-            (`fgrecon.calibration.regions`); none of a vehicle that is turned round.
+            (`fgrecon.calibration.regions`); none of a vehicle whose heading is flipped.
         spread: Geometric mean of the one-sigma regions' semi-axes that those are by, degrees or metres.
         facing: The result's `facing_probability`; None where it has none.
         velocity: Distance of the estimated from the labelled velocity, metres per second; None where either is unknown.

@@ -42,7 +42,7 @@ def show(screen: Screen, done: Sequence[RefinedImage]) -> None:
         if one.error is not None:
             screen.warn(f"{one.image.name}: the boxes stay as they are: {one.error}")
     changed = [box for _, _, box in rows if box.changed]
-    flipped = sum(box.turned_round for box in changed)
+    flipped = sum(box.flipped for box in changed)
     screen.print(
         f"{len(changed)} of {counted(len(rows), 'box', 'boxes')} in {counted(len(done), 'image')} were refined, "
         f"{flipped} of them with a heading flip; {len(rows) - len(changed)} stay as they are."

@@ -88,9 +88,9 @@ class BoxErrors:
     Attributes:
         depth: Of the distance, as a share of it.
         bearing: Of where the origin is seen, pixels across and down.
-        yaw: Of the yaw of a box that is not turned round, radians.
+        yaw: Of the yaw of a box whose heading is not flipped, radians.
         size: Of length, width and height, each as a share of it.
-        turned: Probability that a box is turned round.
+        turned: Probability that a box's heading is flipped.
     """
 
     depth: float = number(0.06, least=1e-3, most=1.0)

@@ -1,4 +1,4 @@
-"""Whether regions hold: how often the truth lies within what estimates claim, and how wide they need be.
+"""Whether what estimates claim holds: how often the truth is in their regions, how often the probable is so.
 
 An estimate claims a Gaussian; its region of a probability p holds the errors whose squares by its covariance are at
 most the chi-square quantile of p. Two baselines make regions that hold by construction where data are exchangeable
@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LEVELS", "SIGMAS", "Coverage", "Region", "coverage"]
+__all__ = ["LEVELS", "SIGMAS", "Coverage", "Region", "Reliability", "coverage", "reliability"]
 
 Array = NDArray[np.float64]
 
@@ -112,3 +112,34 @@ def _quantiles(values: Array, groups: NDArray[np.str_], level: float) -> Array:
 
 def _share(inside: NDArray[np.bool_], known: Array) -> float:
     return float(np.mean(inside)) if np.isfinite(known).all() else float("nan")
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """How often statements of a confidence are right; arrays of B bins that hold equally many statements.
+
+    Attributes:
+        confidence: (B,) mean confidence.
+        right: (B,) share that is right.
+        count: (B,) number of statements.
+    """
+
+    confidence: NDArray[np.float64]
+    right: NDArray[np.float64]
+    count: NDArray[np.int64]
+
+    @property
+    def error(self) -> float:
+        """Expected calibration error: mean distance of the two, by number of statements."""
+        return float(np.abs(self.confidence - self.right) @ self.count / max(self.count.sum(), 1))
+
+
+def reliability(confidence: ArrayLike, right: ArrayLike, bins: int = 10) -> Reliability:
+    """Sort statements (any shape) by confidence into bins of equal size."""
+    sure, hit = np.ravel(confidence).astype(np.float64), np.ravel(right).astype(np.float64)
+    parts = [part for part in np.array_split(np.argsort(sure, kind="stable"), bins) if len(part)]
+    return Reliability(
+        np.array([sure[part].mean() for part in parts]),
+        np.array([hit[part].mean() for part in parts]),
+        np.array([len(part) for part in parts], dtype=np.int64),
+    )

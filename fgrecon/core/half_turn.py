@@ -1,7 +1,7 @@
-"""An image whose keypoints are turned round as a whole: the same points under the names of their partners.
+"""The heading flip of a vehicle's keypoints as a whole: the same points under the names of their partners.
 
-A network that takes a front for a rear finds the left front wheel where the right rear wheel is, and so on. Turned
-round, such an observation says what a right one would have said. Partners are opposite corners of a face that is its
+A network that takes a front for a rear detects the left front wheel where the right rear wheel is, and so on. Flipped,
+such an observation says what a right one would have said. Partners are opposite corners of a face that is its
 own mirror image, as of the quad of the wheels; else half a turn about the vertical axis takes one of the prior's mean
 shape near the other.
 """
@@ -18,15 +18,15 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.core.shape_prior import ShapePrior
 
-__all__ = ["HALF_TURN", "half_a_turn", "partners", "turned_alternative", "turned_round"]
+__all__ = ["HALF_TURN", "flipped_alternative", "flipped_directions", "flipped_observation", "partners"]
 
 HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 """(4, 4) half a turn about the object's own y axis."""
 HALF_TURN.setflags(write=False)
 
-_TOLD = 12.0  # nats: a vehicle turned round that is less probable by more is no alternative
-_LEAST = 1e-12  # probability
-_NEAR = 0.2  # of the shape's length: a point further from every other one has no partner
+_MOST_EXCESS = 12.0  # nats: a flipped vehicle that is less probable by more is no alternative
+_LEAST_PROBABILITY = 1e-12  # probability
+_PARTNER_DISTANCE = 0.2  # of the shape's length: a point further from every other one has no partner
 
 
 @lru_cache(maxsize=16)
@@ -36,16 +36,16 @@ def partners(prior: ShapePrior) -> NDArray[np.intp]:
     turned = mean * np.diag(HALF_TURN)[:3]
     apart = np.linalg.norm(turned[:, None] - mean[None], axis=2)
     nearest = apart.argmin(axis=1)
-    found: NDArray[np.intp] = np.where(apart.min(axis=1) <= _NEAR * np.ptp(mean[:, 0]), nearest, -1)
+    found: NDArray[np.intp] = np.where(apart.min(axis=1) <= _PARTNER_DISTANCE * np.ptp(mean[:, 0]), nearest, -1)
     for face in prior.category.faces:
         corners = face.keypoints
         mirrored = {int(prior.category.mirror[i]) for i in corners} == set(corners)
-        if len(corners) == 4 and mirrored and np.ptp(mean[list(corners), 0]) > _NEAR * np.ptp(mean[:, 0]):
+        if len(corners) == 4 and mirrored and np.ptp(mean[list(corners), 0]) > _PARTNER_DISTANCE * np.ptp(mean[:, 0]):
             found[list(corners)] = np.roll(corners, 2)
     return np.where((found >= 0) & (found[found] == np.arange(len(mean))), found, -1)
 
 
-def turned_round(observation: Observation, prior: ShapePrior) -> Observation:
+def flipped_observation(observation: Observation, prior: ShapePrior) -> Observation:
     """The observation of the vehicle turned by half; points without a partner are not measured."""
     partner = partners(prior)
     there = partner >= 0
@@ -57,25 +57,25 @@ def turned_round(observation: Observation, prior: ShapePrior) -> Observation:
         keypoints=np.where(there[:, None], observation.keypoints[index], np.nan),
         confidence=np.where(there, observation.confidence[index], 0.0),
         covariance=None if covariance is None else covariance[index],
-        azimuth=None if azimuth is None else half_a_turn(azimuth),
+        azimuth=None if azimuth is None else flipped_directions(azimuth),
     )
 
 
-def turned_alternative(
+def flipped_alternative(
     camera_T_object: NDArray[np.float64], coefficients: NDArray[np.float64], facing: float
 ) -> tuple[Alternative, ...]:
-    """A vehicle turned round, as improbable as it is; none where it is out of the question.
+    """The flipped vehicle, as improbable as it is; none where it is out of the question.
 
     Args:
         camera_T_object: (4, 4) its pose.
         coefficients: (N,) its shape.
         facing: Probability that it faces where the pose says.
     """
-    behind = float(np.log(max(facing, _LEAST)) - np.log(max(1.0 - facing, _LEAST)))
-    return () if behind > _TOLD else (Alternative(camera_T_object @ HALF_TURN, coefficients, behind),)
+    behind = float(np.log(max(facing, _LEAST_PROBABILITY)) - np.log(max(1.0 - facing, _LEAST_PROBABILITY)))
+    return () if behind > _MOST_EXCESS else (Alternative(camera_T_object @ HALF_TURN, coefficients, behind),)
 
 
-def half_a_turn(azimuth: NDArray[np.float64]) -> NDArray[np.float64]:
+def flipped_directions(azimuth: NDArray[np.float64]) -> NDArray[np.float64]:
     """(A,) probabilities of directions, each given to the opposite one."""
     bins = len(azimuth)
     if bins % 2 == 0:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.observation import Observation
 
-__all__ = ["Doubt", "Doubts", "doubt_of", "hardly_fits"]
+__all__ = ["InputWarning", "InputWarnings", "fits_poorly", "input_warning_of"]
 
 _NAMED = 3  # vehicles that a warning names
 _WIDER = 0.25  # of a box's longer side: so far beside it are keypoints still its vehicle's
@@ -29,29 +29,30 @@ _FEW = 0.25  # of a vehicle's keypoints
 _Array = NDArray[np.float64]
 
 
-class Doubt(StrEnum):
+class InputWarning(StrEnum):
     """What is doubtful of a vehicle's keypoints."""
 
     UNITS = "units"
-    """All lie between 0 and 1."""
     BESIDE = "beside"
-    """Most lie beside the 2D box."""
     BEYOND = "beyond"
-    """Most lie far outside of the image."""
     FIT = "fit"
-    """Hardly one fits the result."""
+
+    @property
+    def sentence(self) -> str:
+        """What to say of the vehicles that it names at `{}`."""
+        return _SENTENCES[self.value]
 
 
-_WORDS = {
-    Doubt.UNITS: "All keypoints of {} lie between 0 and 1, as parts of an image do. Give pixels.",
-    Doubt.BESIDE: "Most keypoints of {} lie beside the 2D box. Are u and v swapped, or is the box not x1, y1, x2, y2?",
-    Doubt.BEYOND: "Most keypoints of {} lie far outside of the image. Are u and v swapped, or is it another image?",
-    Doubt.FIT: "Hardly a keypoint of {} fits. Is their order the category's, and are left and right the vehicle's own?",
+_SENTENCES = {
+    "units": "All keypoints of {} lie between 0 and 1, as parts of an image do. Give pixels.",
+    "beside": "Most keypoints of {} lie beside the 2D box. Are u and v swapped, or is the box not x1, y1, x2, y2?",
+    "beyond": "Most keypoints of {} lie far outside of the image. Are u and v swapped, or is it another image?",
+    "fit": "Hardly a keypoint of {} fits. Is their order the category's, and are left and right the vehicle's own?",
 }
 
 
 @dataclass
-class Doubts:
+class InputWarnings:
     """What is doubtful of any number of vehicles; keeps the first names and counts.
 
     Attributes:
@@ -61,63 +62,65 @@ class Doubts:
     """
 
     judged: int = 0
-    counts: Counter[Doubt] = field(default_factory=Counter)
-    names: dict[Doubt, list[str]] = field(default_factory=dict)
+    counts: Counter[InputWarning] = field(default_factory=Counter)
+    names: dict[InputWarning, list[str]] = field(default_factory=dict)
 
-    def add(self, name: str, doubt: Doubt | None) -> None:
+    def add(self, name: str, warning: InputWarning | None) -> None:
         """Count a vehicle."""
-        if doubt is not None:
-            self.counts[doubt] += 1
-            first = self.names.setdefault(doubt, [])
+        if warning is not None:
+            self.counts[warning] += 1
+            first = self.names.setdefault(warning, [])
             if len(first) < _NAMED:
                 first.append(name)
 
-    def add_fit(self, name: str, *, hardly: bool | None) -> None:
-        """Count how a vehicle fits, as `hardly_fits` says."""
-        self.judged += hardly is not None
-        self.add(name, Doubt.FIT if hardly else None)
+    def add_fit(self, name: str, *, poorly: bool | None) -> None:
+        """Count how a vehicle fits, as `fits_poorly` says."""
+        self.judged += poorly is not None
+        self.add(name, InputWarning.FIT if poorly else None)
 
     def lines(self) -> list[str]:
         """What to warn of; of the fit where nothing else is doubtful, and if it is that of most vehicles."""
-        told: list[Doubt] = [doubt for doubt in Doubt if self.counts[doubt] and doubt is not Doubt.FIT]
-        if not told and 2 * self.counts[Doubt.FIT] > self.judged:
-            told.append(Doubt.FIT)
-        return [_WORDS[doubt].format(self._told(doubt)) for doubt in told]
+        kinds: list[InputWarning] = [
+            kind for kind in InputWarning if self.counts[kind] and kind is not InputWarning.FIT
+        ]
+        if not kinds and 2 * self.counts[InputWarning.FIT] > self.judged:
+            kinds = [InputWarning.FIT]
+        return [kind.sentence.format(self._vehicles(kind)) for kind in kinds]
 
-    def _told(self, doubt: Doubt) -> str:
-        more = self.counts[doubt] - len(self.names[doubt])
-        return ", ".join(self.names[doubt]) + (f" and {more} more" if more else "")
+    def _vehicles(self, kind: InputWarning) -> str:
+        more = self.counts[kind] - len(self.names[kind])
+        return ", ".join(self.names[kind]) + (f" and {more} more" if more else "")
 
 
-def doubt_of(seen: Observation, camera: Camera) -> Doubt | None:
+def input_warning_of(observation: Observation, camera: Camera) -> InputWarning | None:
     """What must be wrong with a vehicle's keypoints, if anything, before it is solved."""
-    if not seen.measured.any():
+    if not observation.measured.any():
         return None
-    every = seen.keypoints[seen.measured]
+    every = observation.keypoints[observation.measured]
     if (camera.matrix[:2, 2] > 1.0).any() and ((every >= 0.0) & (every <= 1.0)).all():
-        return Doubt.UNITS
-    points = seen.keypoints[_certain(seen)]
+        return InputWarning.UNITS
+    points = observation.keypoints[_certain(observation)]
     size = None if camera.image_size is None else np.array(camera.image_size, dtype=np.float64)
-    if seen.box is not None:
-        wider = _WIDER * seen.extent
-        beside = _outside(points, seen.box[:2] - wider, seen.box[2:] + wider)
-        if size is not None and _at_edge(seen.box, size):  # the vehicle goes on outside of the image
+    if observation.box is not None:
+        wider = _WIDER * observation.extent
+        beside = _outside(points, observation.box[:2] - wider, observation.box[2:] + wider)
+        if size is not None and _at_edge(observation.box, size):  # the vehicle goes on outside of the image
             beside &= ~_outside(points, np.zeros(2), size)
         if np.mean(beside) > 0.5:
-            return Doubt.BESIDE
+            return InputWarning.BESIDE
     if size is not None and np.mean(_outside(points, -_FARTHER * size, (1.0 + _FARTHER) * size)) > 0.5:
-        return Doubt.BEYOND
+        return InputWarning.BEYOND
     return None
 
 
-def hardly_fits(seen: Observation, weights: _Array) -> bool | None:
+def fits_poorly(observation: Observation, weights: _Array) -> bool | None:
     """Whether hardly a keypoint fits; None where they are too few to say.
 
     Args:
-        seen: What was observed.
+        observation: What was observed.
         weights: (K,) of the result.
     """
-    certain = _certain(seen)
+    certain = _certain(observation)
     if np.count_nonzero(certain) < _ENOUGH:
         return None
     return bool(np.mean(weights[certain] >= _FIT) < _FEW)
@@ -129,10 +132,10 @@ def _at_edge(box: _Array, size: _Array) -> bool:
     return bool((box[:2] < margin).any() or (box[2:] > size - margin).any())
 
 
-def _certain(seen: Observation) -> NDArray[np.bool_]:
+def _certain(observation: Observation) -> NDArray[np.bool_]:
     """(K,) the keypoints that are as likely right as wrong, or likelier; all that are measured where none is."""
-    certain: NDArray[np.bool_] = seen.measured & (seen.confidence >= seen.confidence_midpoint)
-    return certain if certain.any() else seen.measured
+    certain: NDArray[np.bool_] = observation.measured & (observation.confidence >= observation.confidence_midpoint)
+    return certain if certain.any() else observation.measured
 
 
 def _outside(points: _Array, least: _Array, most: _Array) -> NDArray[np.bool_]:

@@ -188,7 +188,7 @@ class Options:
         ambiguity_margin: Energy (nats) within which another pose makes the result ambiguous.
         keep_history: Record every iteration.
         traffic: The side that traffic keeps to, where the camera looks along the road: says which way vehicles face,
-            beside what the keypoints' detector says of that (`fgrecon.core.traffic`). None where nobody says.
+            beside what the keypoints' detector says of that (`fgrecon.core.heading_coupling`). None where nobody says.
         confidence_midpoint: Deprecated: what a confidence means belongs to the `Observation`, which this overrules.
     """
 

@@ -60,8 +60,8 @@ class RefinedBox:
         return float(wrap_angle(self.box.rotation_y - self.given.rotation_y))
 
     @property
-    def turned_round(self) -> bool:
-        """Whether it faces the other way now."""
+    def flipped(self) -> bool:
+        """Whether its heading was flipped: it faces the other way now."""
         return abs(self.turn) > np.pi / 2.0
 
     @property
@@ -82,7 +82,7 @@ class RefinedBox:
             "box": _plain(self.box),
             "moved": self.moved.tolist(),
             "turn": self.turn,
-            "turned_round": self.turned_round,
+            "flipped": self.flipped,
             "facing_probability": facing if np.isfinite(facing) else None,
             "sigma": {"location": location, "rotation_y": self.yaw_sigma, "size": size},
             "location_covariance": None if self.location_covariance is None else self.location_covariance.tolist(),

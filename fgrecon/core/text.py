@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-__all__ = ["counted", "distinct", "markdown_row", "number_or_dash", "printable", "whole_text"]
+__all__ = ["counted", "distinct", "markdown_row", "printable", "whole_text"]
 
 
 def counted(count: int, thing: str, things: str | None = None) -> str:
@@ -53,8 +53,3 @@ def markdown_row(cells: Iterable[str]) -> str:
     """A row of a Markdown table with its line's end; no cell ends it or begins another one."""
     told = (cell.replace("|", "\\|").replace("\n", " ") for cell in cells)
     return f"| {' | '.join(told)} |\n"
-
-
-def number_or_dash(value: float | None, digits: str, factor: float = 1.0) -> str:
-    """A number, times a factor, in a format such as `.2f`; a dash for None."""
-    return "-" if value is None else format(factor * value, digits)

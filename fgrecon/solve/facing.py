@@ -23,13 +23,12 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.detection import half_around, pose_facing_probability
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
-from fgrecon.core.half_turn import half_a_turn, turned_round
+from fgrecon.core.half_turn import flipped_directions, flipped_observation
+from fgrecon.core.heading_coupling import heading_odds, mean_field, traffic_directions
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.rows import leanings, ties
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.traffic import traffic_directions
 from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
@@ -64,10 +63,10 @@ def couple_facings(
     if options.traffic is not None:
         own += [side.along(traffic_directions(options.traffic, side.place, len(side.ahead))) for side in sides]
     headings, places = np.array([side.heading for side in sides]), np.array([side.place for side in sides])
-    between = (FACING.neighbour_share if rows else 0.0) * ties(
+    between = (FACING.neighbour_share if rows else 0.0) * heading_odds(
         headings, places.reshape(-1, 3), FACING.neighbour_distance_m
     )
-    right = (1.0 + leanings(own, between)) / 2.0
+    right = (1.0 + mean_field(own, between)) / 2.0
     for row, (i, side) in enumerate(found.items()):
         if options.traffic is not None or between[row].any():
             coupled[i] = replace(coupled[i], azimuth=_either_way(side.ahead, right[row]))
@@ -118,7 +117,7 @@ def _agreeing(problem: Problem, start: PoseEstimate, detected: Observation) -> t
     if pose_facing_probability(azimuth, start.camera_T_object) >= 0.5:
         return problem, start
     try:
-        flipped = problem.showing(replace(turned_round(observation, problem.model.prior), azimuth=azimuth))
+        flipped = problem.showing(replace(flipped_observation(observation, problem.model.prior), azimuth=azimuth))
         again = search_pose(flipped)
     except DegenerateProblemError:  # too few keypoints have a partner on the other side
         return problem, start
@@ -144,7 +143,7 @@ def estimate_pose_facing(
     if seen.azimuth is None:
         return None
     towards = float(view_azimuth(yaw_rotation(heading), place))
-    ahead = half_around(towards, len(seen.azimuth)) * (seen.azimuth + half_a_turn(seen.azimuth))
+    ahead = half_around(towards, len(seen.azimuth)) * (seen.azimuth + flipped_directions(seen.azimuth))
     other = replace(seen, azimuth=_either_way(ahead / ahead.sum(), right))
     try:
         return estimate_pose(problem.showing(other), seen)
@@ -154,7 +153,7 @@ def estimate_pose_facing(
 
 def _either_way(ahead: Array, right: float) -> Array:
     """(A,) directions that are these (A,) with a probability, and turned by half otherwise."""
-    return right * ahead + (1.0 - right) * half_a_turn(ahead)
+    return right * ahead + (1.0 - right) * flipped_directions(ahead)
 
 
 @dataclass(frozen=True)
@@ -199,7 +198,7 @@ class _Side:
 
     def along(self, directions: Array) -> float:
         """Logarithm of the odds by directions (A,) that something else says."""
-        return float(np.log(self.ahead @ directions) - np.log(half_a_turn(self.ahead) @ directions))
+        return float(np.log(self.ahead @ directions) - np.log(flipped_directions(self.ahead) @ directions))
 
 
 def _place(seen: Observation, camera: Camera, prior: ShapePrior) -> Array | None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
-from fgrecon.core.half_turn import turned_alternative
+from fgrecon.core.half_turn import flipped_alternative
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.solve.detected import KnownBox
@@ -79,7 +79,7 @@ class IndependentVehicle:
         facing = self.facing(camera_T_object)
         if facing is None:
             return self.adjusted.alternatives[0]
-        return turned_alternative(camera_T_object, self.adjusted.optimum.state.shapes[0][0], facing)
+        return flipped_alternative(camera_T_object, self.adjusted.optimum.state.shapes[0][0], facing)
 
 
 @dataclass(frozen=True)

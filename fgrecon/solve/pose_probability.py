@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.half_turn import turned_alternative
+from fgrecon.core.half_turn import flipped_alternative
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.mode_selection import is_flipped
 from fgrecon.solve.solve_settings import STATUS
@@ -54,7 +54,7 @@ def with_probabilities(
     others = list(alternatives)
     turned = [is_flipped(other.camera_T_object, camera_T_object) for other in others]
     if not any(turned) and 1.0 - facing >= STATUS.facing_probability:
-        others += turned_alternative(camera_T_object, coefficients, facing)
+        others += flipped_alternative(camera_T_object, coefficients, facing)
         turned += [True] * (len(others) - len(turned))
     if not others:
         return ()

@@ -11,7 +11,7 @@ __all__ = ["FACING", "ROAD", "SCENE", "STATUS", "FacingSettings", "RoadSettings"
 
 @dataclass(frozen=True)
 class FacingSettings:
-    """Which way the vehicles of one image face; not tuned beyond the pairs of cars that `fgrecon.core.rows` counted."""
+    """Which way the vehicles of one image face; not tuned beyond the pairs counted for `core.heading_coupling`."""
 
     neighbour_share: float = 0.3  # of what two vehicles say of one another, since a row's say much the same
     neighbour_distance_m: float = 20.0

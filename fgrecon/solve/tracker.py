@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.half_turn import turned_alternative
+from fgrecon.core.half_turn import flipped_alternative
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import GraphFactor, Reconstruction, rotation_y
@@ -312,7 +312,7 @@ def _estimates(
     if not single:
         alternatives, shape = [*adjusted.alternatives], adjusted.optimum.state.shapes[0][0]
         for index, frame, facing in zip(frames, selected, facings, strict=True):  # as improbable as by the track
-            flipped = turned_alternative(frame.pose.matrix(), shape, facing)
+            flipped = flipped_alternative(frame.pose.matrix(), shape, facing)
             alternatives[index] = flipped or alternatives[index]
         adjusted = replace(adjusted, alternatives=tuple(alternatives))
         known = marginalise(adjusted.graph, adjusted.optimum, at_once=frames)

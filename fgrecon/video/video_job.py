@@ -19,7 +19,7 @@ from fgrecon.batch.parts import refuse_batch
 from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
-from fgrecon.core.input_warnings import Doubts, doubt_of, hardly_fits
+from fgrecon.core.input_warnings import InputWarnings, fits_poorly, input_warning_of
 from fgrecon.core.text import counted
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.export.formats import export_rows
@@ -353,13 +353,13 @@ def _keypoint_warnings(job: VideoJob, run: VideoRun) -> list[str]:
     """What to warn of keypoints that were given."""
     if job.given is None or job.given.cuboids:  # boxes alone, in which the network has detected them
         return []
-    doubts = Doubts()
+    doubts = InputWarnings()
     for frame in run.frames:
         for identity, seen in frame.observations.items():
             name = f"{identity} in {frame.name}"
-            doubts.add(name, doubt_of(seen, job.camera))
+            doubts.add(name, input_warning_of(seen, job.camera))
             if (estimate := frame.estimates.get(identity)) is not None:
-                doubts.add_fit(name, hardly=hardly_fits(seen, estimate.reconstruction.diagnostics.weights))
+                doubts.add_fit(name, poorly=fits_poorly(seen, estimate.reconstruction.diagnostics.weights))
     return doubts.lines()
 
 

@@ -48,7 +48,7 @@ def test_what_made_them_is_found():
         for level in SIGMAS:
             assert shares[level] == pytest.approx(level, abs=0.03)
     assert found.calibration.provenance["drives"] == ["a", "b", "c"]
-    assert found.calibration.provenance["turned_round"] == found.turned > 100
+    assert found.calibration.provenance["flipped"] == found.turned > 100
 
 
 @pytest.mark.parametrize("where", ["everywhere", "at one factor"])
@@ -92,7 +92,7 @@ def test_an_end_of_what_was_tried_and_what_does_not_hold_are_said():
 
 def test_without_a_vehicle_turned_round_the_facing_is_left():
     found = fit_detector({factor: boxes(factor, 200, turns=False) for factor in FACTORS}, {})
-    assert found.doubts[0] == "The facing's numbers are the default ones: no vehicle is turned round."
+    assert found.doubts[0] == "The facing's numbers are the default ones: no vehicle is flipped."
     default = fgrecon.KeypointOptions()
     assert (found.calibration.facing_bias, found.calibration.facing_slope) == (
         default.facing_bias,

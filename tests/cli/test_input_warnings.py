@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.input_warnings import Doubt, Doubts
+from fgrecon.core.input_warnings import InputWarning, InputWarnings
 from fgrecon.io.catalogue import load_category
 
 CATEGORY = load_category("car14")
@@ -127,10 +127,10 @@ def test_of_a_video_too(tmp_path, many, change, told):
 
 
 def test_of_a_hundred_thousand_three_names_are_kept():
-    doubts = Doubts()
+    doubts = InputWarnings()
     for number in range(100_000):
-        doubts.add(str(number), Doubt.BESIDE)
-    assert doubts.names == {Doubt.BESIDE: ["0", "1", "2"]}
+        doubts.add(str(number), InputWarning.BESIDE)
+    assert doubts.names == {InputWarning.BESIDE: ["0", "1", "2"]}
     (line,) = doubts.lines()
     assert "of 0, 1, 2 and 99997 more lie beside" in line
 

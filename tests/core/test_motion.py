@@ -2,9 +2,8 @@
 
 import pytest
 
-from fgrecon.core.category import Category
+from fgrecon.core.category import Category, MotionModel
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.motion import MotionModel
 from fgrecon.io.catalogue import load_category
 
 

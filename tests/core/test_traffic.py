@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from fgrecon.core.choices import TrafficSide
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
-from fgrecon.core.traffic import traffic_directions
+from fgrecon.core.heading_coupling import traffic_directions
 
 AS_THE_CAMERA, AGAINST_IT = -np.pi / 2, np.pi / 2  # rotation_y
 

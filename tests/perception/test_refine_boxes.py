@@ -70,7 +70,7 @@ def test_boxes_of_an_image_come_nearer_and_face_the_right_way():
         assert np.linalg.norm(one.box.location - true.location) < 0.5 * np.linalg.norm(before.location - true.location)
         assert abs(np.sin((one.box.rotation_y - true.rotation_y) / 2)) < 0.03
         assert 0.0 < np.sqrt(one.location_covariance[2, 2]) < 0.06 * true.location[2]
-    assert [one.turned_round for one in found] == [False, False, True]
+    assert [one.flipped for one in found] == [False, False, True]
 
 
 def test_without_2d_boxes_it_looks_where_the_3d_boxes_are():

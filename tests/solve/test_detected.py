@@ -188,7 +188,7 @@ def test_what_says_nothing_or_the_contrary_leaves_a_box_as_it_is():
     assert "nearer" in kept.message
     across = Box3D(pose[:3, 3], 0.6 + np.radians(70), given.size)
     assert "degrees against the box" in refined(across, BoxErrors(), result, None).message
-    assert refined(Box3D(pose[:3, 3], 0.6 + np.pi, given.size), BoxErrors(), result, None).turned_round
+    assert refined(Box3D(pose[:3, 3], 0.6 + np.pi, given.size), BoxErrors(), result, None).flipped
     plain = refined(given, BoxErrors(), result, None).to_dict()
     assert plain["sigma"]["rotation_y"] > 0.0
     assert plain["changed"] is True

@@ -8,8 +8,8 @@ import pytest
 import fgrecon
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.geometry import view_azimuth
-from fgrecon.core.half_turn import half_a_turn, partners, turned_round
-from fgrecon.core.rows import leanings
+from fgrecon.core.half_turn import flipped_directions, flipped_observation, partners
+from fgrecon.core.heading_coupling import mean_field
 from fgrecon.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation import HOURGLASS
@@ -40,7 +40,7 @@ def car(x, sure, *, turned, z=18.0):
     seen, _ = simulate(vehicle, KITTI_CAMERA, pose, np.random.default_rng(4), QUIET)
     azimuth = float(view_azimuth(pose[:3, :3], pose[:3, 3]))
     seen = replace(seen, azimuth=directions(azimuth, sure))
-    return (turned_round(seen, PRIOR) if turned else seen), pose
+    return (flipped_observation(seen, PRIOR) if turned else seen), pose
 
 
 def faces(result, pose):
@@ -142,7 +142,7 @@ def test_probabilities_are_those_of_all_sides_together():
     states = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     weight = np.exp(states @ own / 2 + 0.5 * np.einsum("ki,ij,kj->k", states, between, states))
     exact = weight @ (states > 0) / weight.sum()
-    np.testing.assert_allclose((1.0 + leanings(own, between)) / 2.0, exact, atol=0.02)
+    np.testing.assert_allclose((1.0 + mean_field(own, between)) / 2.0, exact, atol=0.02)
 
 
 def test_a_guess_of_the_yaw_comes_before_the_traffic():
@@ -176,7 +176,7 @@ def test_keypoints_that_have_no_partners_are_not_turned():
     given, _ = car(2.0, 0.9, turned=False)
     keypoints = np.where(np.isin(names, few)[:, None], given.keypoints, np.nan)
     given = replace(given, keypoints=keypoints)
-    told = replace(given, azimuth=half_a_turn(given.azimuth))
+    told = replace(given, azimuth=flipped_directions(given.azimuth))
     problem = Problem.of(told, KITTI_CAMERA, prepare(PRIOR), None, PLAIN)
     found, start = estimate_pose(problem, given)
     assert found is problem

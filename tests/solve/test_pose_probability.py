@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fgrecon import reconstruct
+from fgrecon.core.coverage import reliability
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import Alternative, Status
-from fgrecon.core.reliability import reliability
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.vehicles import KITTI_CAMERA, yaw_pose
 from fgrecon.solve.pose_probability import facing_by_energies, with_probabilities

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import DegenerateProblemError
-from fgrecon.core.half_turn import HALF_TURN, turned_round
+from fgrecon.core.half_turn import HALF_TURN, flipped_observation
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
@@ -101,6 +101,6 @@ def _explaining(
 def _flipped(given: Problem) -> Problem | None:
     """The problem with its keypoints flipped; None where too few have a partner on the other side."""
     try:
-        return given.showing(turned_round(given.observation, given.model.prior))
+        return given.showing(flipped_observation(given.observation, given.model.prior))
     except DegenerateProblemError:
         return None

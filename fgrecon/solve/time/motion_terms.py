@@ -13,7 +13,7 @@ from factors.keys import V, X
 from factors.losses import Loss, RobustLoss
 from factors.motion import drive_factor, motion_factor
 from factors.noise import diagonal_noise, full_noise
-from fgrecon.core.motion import MotionModel
+from fgrecon.core.category import MotionModel
 from fgrecon.solve.time.frame import FrameStep
 from fgrecon.solve.time.time_settings import SETTINGS
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.detection import half_around
-from fgrecon.core.rows import leanings, ties
+from fgrecon.core.heading_coupling import heading_odds, mean_field
 from fgrecon.solve.time.frame import Frame
 from fgrecon.solve.time.heading import HEADINGS, Belief
 from fgrecon.solve.time.smooth import beliefs, pieces
@@ -43,8 +43,8 @@ def neighbour_evidence(frames: Sequence[Frame], own: Sequence[Belief]) -> list[A
     least = SETTINGS.belief_error_probability
     right = np.clip(right, least, 1.0 - least)
     places = np.array([frames[i].pose.translation() for i in directed])
-    between = SETTINGS.neighbour_share * ties(headings, places, SETTINGS.neighbour_distance_m)
-    odds = 2.0 * between @ leanings(np.log(right / (1.0 - right)), between)
+    between = SETTINGS.neighbour_share * heading_odds(headings, places, SETTINGS.neighbour_distance_m)
+    odds = 2.0 * between @ mean_field(np.log(right / (1.0 - right)), between)
     for i, heading, one in zip(directed, headings, odds, strict=True):
         says[i] = one * half_around(heading, len(HEADINGS))
     return says

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from fgrecon.core.motion import MotionModel
+from fgrecon.core.category import MotionModel
 from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.time.frame import Frame
 from fgrecon.solve.time.heading import Belief, backward, combined

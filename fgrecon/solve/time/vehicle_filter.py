@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from factors.motion import moved as moved_pose
 from fgrecon.core.camera import Ground
-from fgrecon.core.motion import MotionModel
+from fgrecon.core.category import MotionModel
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.observation_part import Weights

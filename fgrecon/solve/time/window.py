@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.keys import V, X, decode_key
-from fgrecon.core.motion import MotionModel
+from fgrecon.core.category import MotionModel
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.solve.graph.covariance import Spread
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State, common_share

@@ -17,15 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import TURNED_ROUND
-from fgrecon.core.metrics import THRESHOLDS
 from fgrecon.core.serialise import finite
-from fgrecon.core.text import number_or_dash
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
 from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
 from fgrecon_research.evaluation.boxes3d import LabelledBox
 from fgrecon_research.evaluation.kitti_devkit import LEAST_LABELS, REGIMES, Space, evaluate
-from fgrecon_research.evaluation.text_table import TextTable
+from fgrecon_research.evaluation.measures import THRESHOLDS
+from fgrecon_research.evaluation.text_table import TextTable, number_or_dash
 
 LEAST_OVERLAPS = (0.5, 0.7)
 """Overlaps from which on a box counts as right."""

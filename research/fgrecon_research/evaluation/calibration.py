@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from fgrecon.calibration.labelled_boxes import TURNED_ROUND, BoxOutcome, VideoBox, claimed_regions, outcome
 from fgrecon.calibration.regions import normalised_squared_error
 from fgrecon.core.camera import Ground
-from fgrecon.core.coverage import LEVELS, Coverage, Region, coverage
+from fgrecon.core.coverage import LEVELS, Coverage, Region, Reliability, coverage, reliability
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction, Status
-from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.core.serialise import finite
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior

@@ -14,7 +14,7 @@ from fgrecon.calibration.matching import match_detections
 from fgrecon.calibration.setup import Setup, reconstruct_boxes
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.metrics import FAILURE_DEGREES, THRESHOLDS, instances_within, orientation_error, translation_error
+from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error
 from fgrecon.core.serialise import finite
 from fgrecon.io.export.dataset_results import kitti_objects
 from fgrecon.io.export.results import NamedResult
@@ -31,6 +31,7 @@ from fgrecon_research.evaluation.boxes_summary import (
     summarise_group,
 )
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
+from fgrecon_research.evaluation.measures import THRESHOLDS, instances_within
 from fgrecon_research.io.kitti_sets import Defect, Fault, read_detections, read_labels
 
 Array = NDArray[np.float64]

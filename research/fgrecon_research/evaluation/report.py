@@ -24,11 +24,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from fgrecon.calibration.setup import SceneKnowledge
-from fgrecon.core.metrics import THRESHOLDS, instances_within, orientation_precision
 from fgrecon.core.serialise import finite
-from fgrecon.core.text import markdown_row, number_or_dash
+from fgrecon.core.text import markdown_row
 from fgrecon.io.track_file import Track
+from fgrecon_research.evaluation.measures import THRESHOLDS, instances_within, orientation_precision
 from fgrecon_research.evaluation.run import MethodScores
+from fgrecon_research.evaluation.text_table import number_or_dash
 
 FORMAT = "fgrecon_research.evaluation.tracks/1"
 STAGES = ("pose", "shape")

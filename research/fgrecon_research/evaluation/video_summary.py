@@ -16,11 +16,12 @@ from scipy.stats import chi2
 
 from fgrecon.calibration.labelled_boxes import SYSTEM, TURNED_ROUND, VideoBox, View
 from fgrecon.calibration.regions import DIMENSIONS
-from fgrecon.core.metrics import THRESHOLDS, wrap_angle
+from fgrecon.core.coverage import Reliability, reliability
+from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import Status
-from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.core.serialise import finite
 from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
+from fgrecon_research.evaluation.measures import THRESHOLDS
 
 Array = NDArray[np.float64]
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from fgrecon.calibration.regions import DIMENSIONS
-from fgrecon.core.metrics import THRESHOLDS
-from fgrecon.core.text import number_or_dash
 from fgrecon_research.evaluation.bootstrap import Interval
-from fgrecon_research.evaluation.text_table import TextTable
+from fgrecon_research.evaluation.measures import THRESHOLDS
+from fgrecon_research.evaluation.text_table import TextTable, number_or_dash
 from fgrecon_research.evaluation.video_summary import PoseSummary, Summaries
 
 _HEADINGS = (

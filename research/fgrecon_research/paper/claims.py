@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fgrecon.core.metrics import THRESHOLDS
 from fgrecon_research.evaluation.kitti_devkit import REGIMES
+from fgrecon_research.evaluation.measures import THRESHOLDS
 from fgrecon_research.paper.simulated_scores import CHAIN_ROWS, STAGE_ROWS, Scores
 from fgrecon_research.paper.tables import PRINTED_MAE, row_label
 

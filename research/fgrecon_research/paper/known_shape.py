@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import transform
-from fgrecon.core.metrics import FAILURE_DEGREES, keypoint_error, rotation_error
+from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, KeypointOptions, Options, ShapeOptions
 from fgrecon.core.processes import one_thread_each
@@ -25,6 +25,7 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.conditioning import given_size
+from fgrecon_research.evaluation.measures import keypoint_error, rotation_error
 from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars, marking_offsets
 from fgrecon_research.paper.stages import solved_stages
 from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior, apollo79_size_relation

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.geometry import transform
-from fgrecon.core.metrics import FAILURE_DEGREES, THRESHOLDS, orientation_error, orientation_precision
+from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import rotation_y
@@ -33,6 +33,7 @@ from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
+from fgrecon_research.evaluation.measures import THRESHOLDS, orientation_precision
 from fgrecon_research.evaluation.methods import NO_UPDATES, named_strategy
 from fgrecon_research.training.priors.apollo79 import DUPLICATE, Apollo79
 from fgrecon_research.training.priors.pca import SurfaceSamples, pca_prior

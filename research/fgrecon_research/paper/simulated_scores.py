@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.metrics import hausdorff_distance, keypoint_error, orientation_error, translation_error
+from fgrecon.core.metrics import hausdorff_distance, orientation_error, translation_error
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.robust import StrategyName
@@ -21,6 +21,7 @@ from fgrecon.io.files import write_bytes
 from fgrecon.io.integrity import MADE_AGAIN
 from fgrecon.solve.vehicle.conditioning import of_fleet
 from fgrecon.solve.vehicle.model import prepare
+from fgrecon_research.evaluation.measures import keypoint_error
 from fgrecon_research.evaluation.methods import select
 from fgrecon_research.paper.simulated import SimulatedInstance
 from fgrecon_research.paper.stages import StageEstimate, algorithm1_state, initial_state, noisy_azimuth, stages

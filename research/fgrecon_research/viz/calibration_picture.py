@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from fgrecon.core.coverage import LEVELS, Coverage
-from fgrecon.core.reliability import Reliability
+from fgrecon.core.coverage import LEVELS, Coverage, Reliability
 from fgrecon.viz import style
 from fgrecon.viz.marks import unit
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from fgrecon.calibration.labelled_boxes import BoxOutcome, VideoBox
-from fgrecon.core.reliability import reliability
+from fgrecon.core.coverage import reliability
 from fgrecon.viz import save_picture
 from fgrecon_research.evaluation.calibration import calibrate_boxes, calibration_document
 from fgrecon_research.viz.calibration_picture import calibration_picture

@@ -10,7 +10,7 @@ import pytest
 from fgrecon.calibration.labelled_boxes import SYSTEM
 from fgrecon.calibration.labelled_frames import score_frames
 from fgrecon.core.geometry import yaw_rotation
-from fgrecon.core.half_turn import turned_round
+from fgrecon.core.half_turn import flipped_observation
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon_research.evaluation import video_tracks
@@ -161,7 +161,7 @@ def test_the_vote_turns_single_images_round(folder, setup, scene):  # noqa: F811
         frames = score_frames([drive], setups)
         (seen,) = frames[1].sightings
         unsure = 0.9 * seen.observation.azimuth + 0.1 / len(seen.observation.azimuth)
-        other = turned_round(replace(seen.observation, azimuth=unsure), setup.prior)
+        other = flipped_observation(replace(seen.observation, azimuth=unsure), setup.prior)
         frames[1] = replace(frames[1], sightings=(replace(seen, observation=other),))
         boxes = follow_boxes(frames, [drive], setups)
         by_itself = frames[0].boxes[0].outcomes[SYSTEM]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fgrecon.core.half_turn import partners, turned_round
+from fgrecon.core.half_turn import flipped_observation, partners
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.solve.time.heading import (
     HEADINGS,
@@ -97,9 +97,9 @@ def test_turned_round_twice_is_as_before():
     names = PRIOR.category.keypoints
     assert names[partner[names.index("left_front_wheel")]] == "right_back_wheel"
     assert partner[names.index("left_side_mirror")] == -1
-    turned = turned_round(observation, PRIOR)
+    turned = flipped_observation(observation, PRIOR)
     assert not turned.measured[partner < 0].any()
-    again = turned_round(turned, PRIOR)
+    again = flipped_observation(turned, PRIOR)
     there = partner >= 0
     np.testing.assert_array_equal(again.keypoints[there], observation.keypoints[there])
     np.testing.assert_allclose(again.azimuth, observation.azimuth)

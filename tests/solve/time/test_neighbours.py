@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fgrecon
-from fgrecon.core.half_turn import half_a_turn
+from fgrecon.core.half_turn import flipped_directions
 from fgrecon.solve.time.heading import Belief
 from fgrecon.solve.time.neighbours import beliefs_with_neighbours, neighbour_evidence
 from tests.solve.time.streets import CAMERA, off, seen, upright
@@ -22,7 +22,7 @@ def parked(count=4, gap=7.0):
 
 def shown(pose, rng, *, turned=False, unsure=False):
     found = seen(pose, rng, turned=turned)
-    return replace(found, azimuth=0.5 * (found.azimuth + half_a_turn(found.azimuth))) if unsure else found
+    return replace(found, azimuth=0.5 * (found.azimuth + flipped_directions(found.azimuth))) if unsure else found
 
 
 def followed(names, frames=4, options=PLAIN):

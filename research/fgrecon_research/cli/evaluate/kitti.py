@@ -196,8 +196,8 @@ def _setup(
 
 
 def _table(cars: list[Car]) -> TextTable:
-    from fgrecon.core.metrics import THRESHOLDS
     from fgrecon_research.evaluation.kitti_images import summarise
+    from fgrecon_research.evaluation.measures import THRESHOLDS
     from fgrecon_research.evaluation.text_table import TextTable
 
     rows = []

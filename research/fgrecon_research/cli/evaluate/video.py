@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.calibration.labelled_drives import ScoredDrives
     from fgrecon.calibration.labelled_frames import ScoredFrame
     from fgrecon.cli.terminal import Screen
-    from fgrecon.core.reliability import Reliability
+    from fgrecon.core.coverage import Reliability
     from fgrecon.viz import SolvedVehicle
 
 _WORST = 20

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
+from fgrecon.core.coverage import Reliability, reliability
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.metrics import average_precision
-from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import REACH, Detection, KeypointCascade
 from fgrecon_research.training.keypoints.marks import Mark

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fgrecon.core.coverage import reliability
 from fgrecon.core.errors import DamagedFileWarning, InvalidInputError
-from fgrecon.core.reliability import reliability
 from fgrecon.io.images import write_png
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade

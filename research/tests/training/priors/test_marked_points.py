@@ -7,8 +7,8 @@ import fgrecon
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import MIRROR, yaw_rotation
-from fgrecon.core.metrics import rotation_error
 from fgrecon.io.catalogue import load_category, load_prior
+from fgrecon_research.evaluation.measures import rotation_error
 from fgrecon_research.paper.apollocar3d import read_apollocar3d
 from fgrecon_research.paper.known_shape import KNOWN_SHAPE_OPTIONS
 from fgrecon_research.training.priors.apollo79 import Apollo79, load_apollo79, rounded
