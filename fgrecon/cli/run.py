@@ -170,7 +170,8 @@ def run_command(
     screen.wrote(out)
     drawn = run_report.draw(job, run, options.drawn.picture, screen)
     if options.delivery.save is not None:
-        screen.wrote(run_report.recording(job, run).write(options.delivery.save))
+        with screen.bar() as advance:
+            screen.wrote(run_report.recording(job, run, advance).write(options.delivery.save))
     screen.print(run_report.table(run), run_report.in_words(run))
     screen.detail(*run_report.details(run))
     screen.write_json(run_report.document(job, run))

@@ -105,7 +105,7 @@ def film(path: Path, source: FrameSource, frames: Sequence[TrackedFrame], camera
     size: tuple[int, ...] | None = None
     with write_video(path, rate=rate) as add:
         for done, picture in enumerate(source.read(), start=1):
-            advance("Video", done, len(frames))
+            advance("Filming", done, len(frames))
             frame = by_number.get(picture.number)
             if picture.image is None or frame is None or frame.problem is not None:
                 continue
@@ -154,11 +154,12 @@ def still(
     return False
 
 
-def recorded(source: FrameSource, frames: Sequence[TrackedFrame]) -> Iterator[RecordedFrame]:
+def recorded(source: FrameSource, frames: Sequence[TrackedFrame], advance: Advance) -> Iterator[RecordedFrame]:
     """The frames as they are recorded, read once more."""
     by_number = {frame.number: frame for frame in frames}
     showing = Showing()
-    for picture in source.read():
+    for done, picture in enumerate(source.read(), start=1):
+        advance("Recording", done, len(frames))
         if (frame := by_number.get(picture.number)) is not None:
             yield showing.frame(frame, picture.image)
 

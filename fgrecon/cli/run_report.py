@@ -15,10 +15,11 @@ from rich.table import Table
 
 from fgrecon.cli.options import Viewer
 from fgrecon.cli.run_film import Showing, film, recorded, still
-from fgrecon.cli.terminal import Screen, compact_table
+from fgrecon.cli.terminal import Advance, Screen, compact_table
 from fgrecon.core.text import counted
+from fgrecon.io.files import write_text
 from fgrecon.io.frames import SourceFrame
-from fgrecon.io.run_settings import camera_to_dict, settings_to_dict
+from fgrecon.io.run_settings import camera_to_dict, content_hash, settings_to_dict
 from fgrecon.video import VideoRun
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.video_job import VideoJob, track_video
@@ -29,6 +30,9 @@ from fgrecon.viz.video_recording import LiveRecording, video_recording_of
 __all__ = ["FORMAT", "details", "document", "draw", "in_words", "perform", "recording", "table"]
 
 FORMAT = "fgrecon.run/1"
+
+_FILM = "film.json"
+"""In the folder of the results: what the film that was written last shows."""
 
 
 def perform(job: VideoJob, viewer: Viewer, screen: Screen) -> VideoRun:
@@ -67,9 +71,9 @@ def _live(job: VideoJob, viewer: Viewer) -> Iterator[Callable[[TrackedFrame, Sou
             recording.end()
 
 
-def recording(job: VideoJob, run: VideoRun) -> Recording:
+def recording(job: VideoJob, run: VideoRun, advance: Advance) -> Recording:
     """The recording of a run, frames read once more."""
-    return video_recording_of(lambda: recorded(job.source, run.frames), job.camera)
+    return video_recording_of(lambda: recorded(job.source, run.frames, advance), job.camera)
 
 
 @contextmanager
@@ -96,8 +100,12 @@ def draw(job: VideoJob, run: VideoRun, picture: Path | None, screen: Screen) -> 
     """
     request = job.request
     if request.video is not None and not run.stopped:
-        with screen.bar() as advance:
-            screen.wrote(film(request.video, job.source, run.frames, job.camera, advance))
+        if _film_stamp(job, request.video) == _text(request.out / _FILM):
+            screen.print(f"{request.video} shows this already.")
+        else:
+            with screen.bar() as advance:
+                screen.wrote(film(request.video, job.source, run.frames, job.camera, advance))
+            write_text(request.out / _FILM, _film_stamp(job, request.video))
     if picture is None:
         return True
     number, known = request.picture_frame, [frame.number for frame in run.frames]
@@ -110,6 +118,22 @@ def draw(job: VideoJob, run: VideoRun, picture: Path | None, screen: Screen) -> 
             where += f", which is not there: the frames are {min(known)} to {max(known)}"
         screen.fail(f"{picture} is not written: there is no vehicle in {where}.")
     return drawn
+
+
+def _film_stamp(job: VideoJob, film: Path) -> str:
+    """What a film shows, and the film as it is: a finished one is not drawn again."""
+    content = {
+        "fgrecon": metadata.version("fgrecon"),
+        "frames": content_hash(job.request.out / "frames.jsonl"),
+        "camera": camera_to_dict(job.camera),
+        "records": job.records_depend_on,
+        "film": [str(film.resolve()), content_hash(film)],
+    }
+    return json.dumps(content, indent=1) + "\n"
+
+
+def _text(path: Path) -> str | None:
+    return path.read_text(encoding="utf-8") if path.is_file() else None
 
 
 def table(run: VideoRun) -> Table:

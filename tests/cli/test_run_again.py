@@ -121,3 +121,21 @@ def test_images_of_one_name_in_several_folders_go_on(drive, tmp_path):
     first, again = run(*asked), run(*asked)
     assert (first.exit_code, again.exit_code) == (0, 0)
     assert "3 were looked at before" in again.stdout
+
+
+def test_a_finished_film_is_not_drawn_again(drive, tmp_path, monkeypatch):
+    """Unless it, or what it shows, is another."""
+    pytest.importorskip("av", reason="PyAV is not installed: pip install fgrecon[video]")
+    images, file = drive
+    film = tmp_path / "a.mp4"
+    asked = (images, "--tracks", file, *FPS, "--out", tmp_path / "out", "--video", film)
+    assert f"Wrote {film}." in run(*asked).stdout
+    drawn = film.read_bytes()
+    with monkeypatch.context() as patched:
+        patched.setattr("fgrecon.cli.run_report.film", pytest.fail)
+        again = run(*asked)
+    assert (again.exit_code, f"{film} shows this already." in again.stdout) == (0, True)
+    assert film.read_bytes() == drawn
+    film.write_bytes(b"torn")
+    assert f"Wrote {film}." in run(*asked).stdout
+    assert f"Wrote {film}." in run(*asked, "--online").stdout

@@ -7,6 +7,7 @@ share. `fgrecon_research.evaluation.boxes_summary` says what they come to.
 
 from __future__ import annotations
 
+import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -50,11 +51,18 @@ def read_boxes(path: Path, frames: Sequence[int]) -> dict[int, Objects]:
 
     Args:
         path: Folder with a file of KITTI's object lines a frame, named by its number, or one file of KITTI's tracking
-            lines, which speaks of every frame. A line without a score has the score 1.
+            lines, which speaks of every frame; or the folder of `fgrecon run`, which speaks of those that it read. A
+            line without a score has the score 1.
 
     Raises:
         InvalidInputError: It cannot be read, or a line is malformed; names file and line.
     """
+    if (summary := path / "frames.jsonl").is_file():
+        try:
+            frames = sorted({json.loads(line)["frame"] for line in _text(summary).splitlines()}.intersection(frames))
+        except (ValueError, KeyError, TypeError) as error:
+            raise InvalidInputError("results", str(summary), "Give the folder of a run, as `run` wrote it.") from error
+        path = path / "tracks.txt"
     if path.is_dir():
         files = {number: path / f"{_NAME.format(number)}.txt" for number in frames}
         texts = {number: _text(file) for number, file in files.items() if file.is_file()}

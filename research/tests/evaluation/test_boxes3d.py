@@ -120,6 +120,16 @@ def test_a_file_of_tracking_lines_is_a_source(drive, tmp_path):
     )
 
 
+def test_the_folder_of_a_run_is_a_source_of_its_frames(tmp_path):
+    """Those without a vehicle are spoken of as well, others are not."""
+    (tmp_path / "tracks.txt").write_text("3 7 Car 0 0 0 10 20 30 40 1.5 1.6 4.0 1 2 20 1.5 0.9\n")
+    (tmp_path / "frames.jsonl").write_text("".join(json.dumps({"frame": number}) + "\n" for number in (3, 4, 5)))
+    assert {number: len(found) for number, found in read_boxes(tmp_path, [2, 3, 4]).items()} == {3: 1, 4: 0}
+    (tmp_path / "frames.jsonl").write_text("[]\n")
+    with pytest.raises(InvalidInputError, match=r"frames\.jsonl"):
+        read_boxes(tmp_path, [3])
+
+
 @pytest.mark.parametrize(
     ("text", "match"), [("0 1 Car x", "malformed"), ("0 Car", "track"), ("a b Car 1", "track")], ids=str
 )

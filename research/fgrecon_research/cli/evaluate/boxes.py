@@ -34,8 +34,8 @@ def boxes_command(
         list[str],
         typer.Argument(
             metavar="[NAME=]RESULTS",
-            help="Folders of object lines by frame, or files of tracking lines; of several drives a folder with one "
-            "for each, by its name. NAME is what the tables call it.",
+            help="Folders of object lines by frame or of `fgrecon run`, or files of tracking lines; of several drives "
+            "a folder with one for each, by its name. NAME is what the tables call it.",
         ),
     ],
     terminal: Terminal,
