@@ -69,30 +69,34 @@ def test_the_parts_of_a_result_fit_together(prior, seen):
     result = solve(observation, ground=1.65, options=make_options(free_offsets=True))
     pose = result.camera_T_object
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-9)
-    np.testing.assert_allclose(result.wireframe, prior.keypoints(result.coefficients, result.offsets))
+    np.testing.assert_allclose(result.wireframe, prior.keypoints(result.shape.coefficients, result.shape.offsets))
     in_camera = result.wireframe @ pose[:3, :3].T + pose[:3, 3]
-    np.testing.assert_allclose(result.wireframe_uv, CAMERA.project(in_camera))
-    np.testing.assert_allclose(result.surface_vertices, prior.surface.vertices(result.coefficients))
-    np.testing.assert_allclose(result.box_size, prior.box_size(result.coefficients, result.offsets))
+    np.testing.assert_allclose(result.pose.wireframe_uv, CAMERA.project(in_camera))
+    np.testing.assert_allclose(result.shape.surface_vertices, prior.surface.vertices(result.shape.coefficients))
+    np.testing.assert_allclose(result.box_size, prior.box_size(result.shape.coefficients, result.shape.offsets))
     sigma0 = np.hypot(KeypointOptions().sigma_relative * observation.extent, KeypointOptions().sigma_pixels)
-    np.testing.assert_allclose(result.sigmas * np.sqrt(result.weights), sigma0)
+    np.testing.assert_allclose(result.diagnostics.sigmas * np.sqrt(result.diagnostics.weights), sigma0)
     camera = np.linalg.inv(pose)[:3, 3]
-    behind = clearance(result.surface_vertices, result.surface_faces, result.wireframe, camera)
-    np.testing.assert_allclose(result.visibility, probability(behind), atol=1e-9)
-    assert (result.visibility[observation.confidence > 0.5] > 0.5).all()
-    stages = list(dict.fromkeys(iteration.stage for iteration in result.history))
+    behind = clearance(result.shape.surface_vertices, result.shape.surface_faces, result.wireframe, camera)
+    np.testing.assert_allclose(result.diagnostics.visibility, probability(behind), atol=1e-9)
+    assert (result.diagnostics.visibility[observation.confidence > 0.5] > 0.5).all()
+    stages = list(dict.fromkeys(iteration.stage for iteration in result.diagnostics.history))
     assert stages == ["initialisation", "pose", "joint"]
-    np.testing.assert_allclose(result.history[-1].camera_T_object, pose, atol=1e-6)
-    for covariance in (result.pose_covariance, result.coefficients_covariance, *result.keypoint_covariance):
+    np.testing.assert_allclose(result.diagnostics.history[-1].camera_T_object, pose, atol=1e-6)
+    for covariance in (
+        result.uncertainty.pose_covariance,
+        result.uncertainty.coefficients_covariance,
+        *result.uncertainty.keypoint_covariance,
+    ):
         assert np.linalg.eigvalsh(covariance).min() > 0
-    assert result.category == "car14"
-    assert set(result.milliseconds) >= {"pose", "shape"}
+    assert result.shape.category == "car14"
+    assert set(result.diagnostics.milliseconds) >= {"pose", "shape"}
 
 
 def test_a_result_holds_nothing_that_it_does_not_show(prior, seen):
     """A video has thousands of them: what is common to all is there once, and no array keeps a larger one alive."""
     one, other = solve(seen[0]), solve(observe(prior, yaw_pose(0.4)))
-    assert one.surface_faces is other.surface_faces
+    assert one.shape.surface_faces is other.shape.surface_faces
     shown = {name: value for name, value in vars(one).items() if isinstance(value, np.ndarray)}
     held = {name: whole.nbytes for name, array in shown.items() if isinstance(whole := array.base, np.ndarray)}
     assert {name: size for name, size in held.items() if size > shown[name].nbytes} == {}
@@ -105,8 +109,8 @@ def test_the_size_of_one_car_tells_its_shape(prior):
     observation = observe(prior, pose, coefficients, noise=1.0)
     told = solve(observation, prior=prior, size_prior=",".join(f"{length:.3f}" for length in size))
     untold = solve(observation, prior=prior)
-    assert told.prior.startswith("car14 given ")
-    assert "dimensions" not in told.energies
+    assert told.shape.prior.startswith("car14 given ")
+    assert "dimensions" not in told.diagnostics.energies
     assert told.box_size == pytest.approx(size, rel=0.03)
     shape = prior.keypoints(coefficients)
     away = [np.linalg.norm(result.wireframe - shape, axis=1).mean() for result in (told, untold)]
@@ -123,22 +127,25 @@ def test_json_keeps_every_bit(seen):
 def test_what_the_graph_did_is_told(seen):
     """The iterations of the graph and what they took off; documents of the first release, without either, are read."""
     result = solve(seen[0], ground=1.65)
-    steps = [iteration for iteration in result.history if iteration.stage == "joint"]
-    assert 0 < result.graph_iterations <= len(steps)
-    assert result.graph_gain > 0.0
+    steps = [iteration for iteration in result.diagnostics.history if iteration.stage == "joint"]
+    assert 0 < result.diagnostics.graph_iterations <= len(steps)
+    assert result.diagnostics.graph_gain > 0.0
     rewritten = result.to_dict()
     back = Reconstruction.from_dict(json.loads(json.dumps(rewritten)))
     assert (back.diagnostics.graph_iterations, back.diagnostics.graph_gain) == (
-        result.graph_iterations,
-        result.graph_gain,
+        result.diagnostics.graph_iterations,
+        result.diagnostics.graph_gain,
     )
     old = {name: value for name, value in rewritten.items() if not name.startswith("graph_")}
     back = Reconstruction.from_dict(json.loads(json.dumps(old)))
     assert back.diagnostics.graph_iterations == 0
     assert np.isnan(back.diagnostics.graph_gain)
-    assert_same(changed(back, graph_iterations=result.graph_iterations, graph_gain=result.graph_gain), result)
+    assert_same(
+        changed(back, graph_iterations=result.diagnostics.graph_iterations, graph_gain=result.diagnostics.graph_gain),
+        result,
+    )
     paper = solve(seen[0], ground=1.65, options=Options(strategy="paper"))  # whose weights belong to no energy
-    assert np.isnan(paper.graph_gain)
+    assert np.isnan(paper.diagnostics.graph_gain)
     assert np.isnan(Reconstruction.from_dict(json.loads(json.dumps(paper.to_dict()))).diagnostics.graph_gain)
     with pytest.raises(InvalidInputError, match="no field weights"):
         Reconstruction.from_dict({name: value for name, value in old.items() if name != "weights"})
@@ -153,8 +160,8 @@ def test_the_same_input_gives_the_same_bits(seen, strategy):
 
 def assert_alike(a, b, tolerance=1e-6):
     np.testing.assert_allclose(a.camera_T_object, b.camera_T_object, atol=tolerance)
-    np.testing.assert_allclose(a.coefficients, b.coefficients, atol=10 * tolerance)
-    np.testing.assert_allclose(a.weights, b.weights, atol=10 * tolerance)
+    np.testing.assert_allclose(a.shape.coefficients, b.shape.coefficients, atol=10 * tolerance)
+    np.testing.assert_allclose(a.diagnostics.weights, b.diagnostics.weights, atol=10 * tolerance)
 
 
 def test_a_lens_changes_nothing_but_the_pixels(seen):
@@ -168,7 +175,7 @@ def test_a_lens_changes_nothing_but_the_pixels(seen):
     ideal = solve(observation)
     bent = reconstruct(points, MATRIX, confidence=observation.confidence, box=box, distortion=lens)
     assert_alike(ideal, bent, 1e-5)
-    np.testing.assert_allclose(bent.pose.wireframe_uv, camera.distort(ideal.wireframe_uv), atol=1e-3)
+    np.testing.assert_allclose(bent.pose.wireframe_uv, camera.distort(ideal.pose.wireframe_uv), atol=1e-3)
     assert_alike(bent, reconstruct(points, camera, confidence=observation.confidence, box=box), 1e-12)
     assert_alike(bent, reconstruct(points, CAMERA, confidence=observation.confidence, box=box, distortion=lens), 1e-12)
 
@@ -207,7 +214,7 @@ def test_keypoints_by_name_and_as_an_observation(prior, seen):
 def test_a_confidence_means_what_its_observation_says(seen):
     observation = seen[0]
     strict = replace(observation, confidence_midpoint=0.9)
-    assert reconstruct(strict, CAMERA).diagnostics.weights.sum() < solve(observation).weights.sum() - 0.02
+    assert reconstruct(strict, CAMERA).diagnostics.weights.sum() < solve(observation).diagnostics.weights.sum() - 0.02
     with pytest.warns(DeprecationWarning, match="confidence_midpoint"):
         old = Options(confidence_midpoint=0.9)
     assert_alike(reconstruct(strict, CAMERA), solve(observation, options=old), 0.0)
@@ -235,7 +242,7 @@ def test_a_car_of_another_scale(prior):
         a, b = (solve(observation, prior=p, options=Options(disabled_terms=metric)) for p in (prior, toy))
         np.testing.assert_allclose(b.location / scale, a.location, rtol=0.02, atol=0.02)
         assert np.degrees(rotation_angle(a.camera_T_object, b.camera_T_object)) < 1
-        np.testing.assert_allclose(a.wireframe_uv, b.wireframe_uv, atol=1.5)
+        np.testing.assert_allclose(a.pose.wireframe_uv, b.pose.wireframe_uv, atol=1.5)
 
 
 def test_missing_keypoints_are_filled_in(seen):
@@ -262,8 +269,8 @@ def test_a_prior_without_surface(prior, seen):
     observation, truth = seen
     bare = replace(prior, surface=None)
     result = solve(observation, prior=bare, ground=1.65)
-    assert result.surface_vertices is None
-    assert result.surface_faces is None
+    assert result.shape.surface_vertices is None
+    assert result.shape.surface_faces is None
     assert np.degrees(rotation_angle(result.camera_T_object, truth)) < 5
     assert_same(untimed(result), Reconstruction.from_dict(json.loads(json.dumps(untimed(result).to_dict()))))
 
@@ -273,8 +280,8 @@ def test_a_prior_without_surface(prior, seen):
 def test_few_basis_vectors(seen, count, more):
     result = solve(seen[0], options=make_options(basis_vectors=count, **more))
     assert result.status is Status.CONVERGED
-    assert result.coefficients.shape == (count,)
-    assert result.coefficients_covariance.shape == (count, count)
+    assert result.shape.coefficients.shape == (count,)
+    assert result.uncertainty.coefficients_covariance.shape == (count, count)
     assert np.degrees(rotation_angle(result.camera_T_object, seen[1])) < 6
     assert_same(result, Reconstruction.from_dict(json.loads(json.dumps(result.to_dict()))))
 
@@ -305,8 +312,8 @@ def test_a_level_camera_is_a_height(seen):
     a, b = (solve(seen[0], ground=ground) for ground in (1.65, Ground(np.array([0.0, 1.0, 0.0]), 1.65)))
     assert_same(untimed(a), untimed(b))
     high, unknown = solve(seen[0], ground=1.95), solve(seen[0])
-    assert "ground" in a.energies
-    assert "ground" not in unknown.energies
+    assert "ground" in a.diagnostics.energies
+    assert "ground" not in unknown.diagnostics.energies
     assert high.location[1] > a.location[1] + 0.05
 
 
@@ -321,8 +328,8 @@ def test_a_detectors_covariance_counts(seen):
     vague[sure, 0, 0] = 900.0
     moves = []
     for covariance in (plain, vague):
-        before = solve(observation, covariance=covariance).wireframe_uv
-        after = solve(replace(observation, keypoints=shifted), covariance=covariance).wireframe_uv
+        before = solve(observation, covariance=covariance).pose.wireframe_uv
+        after = solve(replace(observation, keypoints=shifted), covariance=covariance).pose.wireframe_uv
         moves.append(np.abs(after - before).max())
     assert moves[1] < 0.5 * moves[0]
 

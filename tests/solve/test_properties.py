@@ -50,7 +50,7 @@ def close(found, wanted, scale=1.0):
 
 def settled(result):
     """Whether there is one minimum: where two are nearly as good, rounding may choose."""
-    return all(other.excess > 0.05 for other in result.alternatives) and result.status.value in (
+    return all(other.excess > 0.05 for other in result.uncertainty.alternatives) and result.status.value in (
         "converged",
         "ambiguous",
     )

@@ -51,7 +51,7 @@ def test_all_frames_share_one_shape_and_refused_images_are_named(solved):
     assert track.refused == {2: "no keypoints"}
     assert len(track.frames) == len(poses)
     for frame in track.frames:
-        np.testing.assert_array_equal(frame.coefficients, track.coefficients)
+        np.testing.assert_array_equal(frame.shape.coefficients, track.coefficients)
         np.testing.assert_array_equal(frame.box_size, track.box_size)
     assert "1 was refused" in track.message
 
@@ -86,13 +86,13 @@ def test_many_images_tell_the_shape_better_than_the_average_one(car):
 def test_the_history_of_the_whole_is_that_of_the_frames(solved):
     *_, track = solved
     for index, frame in enumerate(track.frames):
-        joint = [step for step in frame.history if step.stage == "joint"]
+        joint = [step for step in frame.diagnostics.history if step.stage == "joint"]
         assert [(step.irls, step.step) for step in joint] == [(step.irls, step.step) for step in track.history]
         for mine, whole in zip(joint, track.history, strict=True):
             np.testing.assert_array_equal(mine.camera_T_object, whole.poses[index])
             np.testing.assert_array_equal(mine.coefficients, whole.coefficients)
         np.testing.assert_allclose(joint[-1].camera_T_object, frame.camera_T_object, atol=1e-6)
-    last = [[step for step in frame.history if step.stage == "joint"][-1] for frame in track.frames]
+    last = [[step for step in frame.diagnostics.history if step.stage == "joint"][-1] for frame in track.frames]
     for term in ("reprojection", "box", "ground", "cheirality"):
         assert sum(step.energies[term] for step in last) == pytest.approx(track.history[-1].energies[term])
     assert "coefficients" in track.energies
