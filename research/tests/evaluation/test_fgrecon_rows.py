@@ -50,6 +50,8 @@ def test_a_row_is_told_what_its_name_says(scene, calls, name, ground, size):
 
 def test_a_failed_reconstruction_is_a_failure(scene, calls):
     camera, truth = Camera(K), pose_of(0.4, [0.0, 1.65, 8.0])
-    calls.result = SimpleNamespace(status=Status.FAILED, message="no start", camera_T_object=truth, milliseconds={})
+    calls.result = SimpleNamespace(
+        status=Status.FAILED, message="no start", camera_T_object=truth, diagnostics=SimpleNamespace(milliseconds={})
+    )
     with pytest.raises(FgreconError, match="no start"):
         METHODS["fgrecon"].bind(scene)(observe(scene.prior.mean, camera, truth), camera)
