@@ -37,7 +37,9 @@ def test_a_row_is_told_what_its_name_says(scene, calls, name, ground, size):
     camera, truth = Camera(K), pose_of(0.4, [0.0, 1.65, 8.0])
     observation = observe(scene.prior.mean, camera, truth)
     times = {"pose": 3.0, "shape": 7.0}
-    calls.result = SimpleNamespace(status=Status.AMBIGUOUS, message="", camera_T_object=truth, milliseconds=times)
+    calls.result = SimpleNamespace(
+        status=Status.AMBIGUOUS, message="", camera_T_object=truth, diagnostics=SimpleNamespace(milliseconds=times)
+    )
     estimate = METHODS[name].bind(scene)(observation, camera)
     assert estimate.camera_T_object is truth
     assert estimate.milliseconds == times
