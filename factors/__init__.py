@@ -42,8 +42,8 @@ if TYPE_CHECKING:  # imported when used
     from factors.dimensions import dimensions_factor
     from factors.errors import DegenerateProblemError, FactorCallbackError, FgreconError, InvalidInputError
     from factors.ground import GroundRows
+    from factors.ground_transition import ground_transition_factor
     from factors.guard import guarded_factor
-    from factors.kernel import Projection, ProjectionKernel
     from factors.keypoint_rows import KeypointRows, whiteners
     from factors.keys import DecodedKey, F, G, L, M, O, P, S, V, X, decode_key, key_name
     from factors.laplacian import laplacian_factor
@@ -61,8 +61,8 @@ if TYPE_CHECKING:  # imported when used
     )
     from factors.planarity import ground_parallel_factor, planarity_factor
     from factors.planes import fit_plane, make_plane
+    from factors.projection_kernel import Projection, ProjectionKernel
     from factors.rectangularity import rectangularity_factor
-    from factors.road import road_factor
     from factors.shape import LinearShape
     from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
     from factors.shape_prior import coefficients_prior, offsets_prior
@@ -111,6 +111,7 @@ __all__ = [
     "fit_plane",
     "full_noise",
     "ground_parallel_factor",
+    "ground_transition_factor",
     "guarded_factor",
     "key_name",
     "laplacian_factor",
@@ -124,7 +125,6 @@ __all__ = [
     "planarity_factor",
     "rectangularity_factor",
     "reprojection_factor",
-    "road_factor",
     "shape_factor",
     "symmetry_factor",
     "term_factor",

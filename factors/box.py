@@ -27,7 +27,7 @@ from factors.projection import by_pose, pixel_jacobian
 if TYPE_CHECKING:  # on use: most of this needs numpy alone
     import gtsam
 
-    from factors.kernel import Projection, ProjectionKernel
+    from factors.projection_kernel import Projection, ProjectionKernel
 
 __all__ = ["OUTWARD", "BoxRows", "crease_rows", "extents_by_points", "kink", "projected_extents", "soft_extents"]
 

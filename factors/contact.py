@@ -58,24 +58,24 @@ class GroundFrame:
 
     def plane(self, change: Array) -> tuple[Array, float]:
         """Normal (3,) and distance of the plane at a change (3,): h, a, b."""
-        return self.turned(change)[0], self.distance + float(change[0])
+        return self.tilted(change)[0], self.distance + float(change[0])
 
-    def turned(self, change: Array) -> tuple[Array, Array]:
+    def tilted(self, change: Array) -> tuple[Array, Array]:
         """Normal (3,) at a change (3,), and its derivative (3, 2) by a and b; the last one is remembered.
 
         All vehicles of an image ask for the same.
         """
         stamp = change.tobytes()
-        for known, turned in self._last:
+        for known, tilted in self._last:
             if known == stamp:
-                return turned
+                return tilted
         normal = self.normal + change[1:].dot(self.across)
         length = math.sqrt(normal.dot(normal))
         normal /= length
         across = self.across.T / length
-        turned = normal, across - normal[:, None] * normal.dot(across)
-        self._last[:] = [(stamp, turned)]
-        return turned
+        tilted = normal, across - normal[:, None] * normal.dot(across)
+        self._last[:] = [(stamp, tilted)]
+        return tilted
 
 
 def contact_factor(pose_key: int, ground_key: int, frame: GroundFrame, noise: Noise) -> gtsam.CustomFactor:
@@ -102,7 +102,7 @@ class _Contact:
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         pose, change = values.atPose3(self.pose_key).matrix(), values.atVector(self.ground_key)
-        normal, by_ab = self.frame.turned(change)
+        normal, by_ab = self.frame.tilted(change)
         rotation, place = pose[:3, :3], pose[:3, 3]
         residual, by_turn = ground_rows(normal, self.frame.distance, rotation, place)
         residual[0] -= change[0]

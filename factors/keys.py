@@ -88,7 +88,7 @@ def V(vehicle: int = 0, t: int = 0) -> int:
 
 
 def F(t: int = 0) -> int:
-    """Key of the focal length of frame t (1,): the logarithm of its ratio to the nominal one (`factors.kernel`)."""
+    """Key of the focal length of frame t (1,): the logarithm of its ratio to the nominal one."""
     return _key("F", 0, t, "t")
 
 

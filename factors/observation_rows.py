@@ -25,11 +25,11 @@ from factors.checks import finite_array
 from factors.errors import DegenerateProblemError, InvalidInputError
 from factors.ground import GroundRows
 from factors.guard import Evaluation, guarded_factor
-from factors.kernel import ProjectionKernel
 from factors.keypoint_rows import SMALLEST_WEIGHT, KeypointRows, whiteners
 from factors.losses import RobustLoss
 from factors.mixture import Form, robust_rows
 from factors.projection import SHALLOWEST
+from factors.projection_kernel import ProjectionKernel
 
 __all__ = ["ObservationRows", "check_in_front", "observation_factor", "reprojection_factor", "term_factor"]
 

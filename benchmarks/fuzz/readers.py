@@ -23,7 +23,7 @@ from fgrecon.io.keypoints import read_any_keypoints
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.models import read_models
 from fgrecon.io.track_file import read_track
-from fgrecon.perception.keypoints.weights import load_weights
+from fgrecon.perception.keypoints.network_file import load_weights
 from fgrecon_research.io.annotations.reader import load_annotations
 from fgrecon_research.io.kitti_sets import read_detections, read_image_set, read_labels
 

@@ -22,7 +22,7 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.road import CameraFrame, KnownGround
 from fgrecon.solve.solve_settings import ROAD
 from fgrecon.solve.time.frame import Frame, FrameStep
-from fgrecon.solve.time.neighbours import neighbour_evidence
+from fgrecon.solve.time.heading_neighbours import neighbour_evidence
 from fgrecon.solve.time.vehicle_filter import FilterModel, VehicleFilter, VehicleUpdate, first_observed
 
 __all__ = ["FrameContext", "FrameVehicles", "VehicleTrack", "look_at_vehicles"]

@@ -2,7 +2,7 @@
 
 Detectors flip some 3D boxes, and keypoint networks some vehicles; a graph that believes in its keypoints follows those
 whatever the box says. So which way a vehicle with such a box faces is decided as over time
-(`fgrecon.solve.time.heading`): by the poses that its keypoints allow, their energies tempered, the network's
+(`fgrecon.solve.time.heading_filter`): by the poses that its keypoints allow, their energies tempered, the network's
 directions, and the box.
 """
 
@@ -29,8 +29,8 @@ from fgrecon.solve.inputs import SolveSetup, observe
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.frame import PosedImage
-from fgrecon.solve.time.heading import Belief, box_evidence
 from fgrecon.solve.time.heading_choice import image_evidence, moved_to
+from fgrecon.solve.time.heading_filter import Belief, box_evidence
 
 __all__ = ["IndependentSolve", "IndependentVehicle", "solve_independently"]
 

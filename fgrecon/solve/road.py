@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.contact import GroundFrame
+from factors.ground_transition import ground_transition_factor
 from factors.keys import G
 from factors.marginals import Marginal, marginal, marginal_factor
 from factors.noise import full_noise
-from factors.road import road_factor
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.ground_evidence import GroundEvidence
@@ -239,7 +239,9 @@ def _moved(past: _Past, frame: CameraFrame, nominal: _Nominal) -> gtsam.CustomFa
         by_motion = np.zeros((3, 6))  # of height and slopes, in the camera's frame now
         by_motion[0, 3:], by_motion[1:, :3] = axes.normal, np.cross(axes.normal, axes.across)
         unsure = unsure + by_motion @ frame.motion_covariance @ by_motion.T
-    return road_factor(G(0), G(1), (past.nominal.axes, axes), full_noise("road", unsure), motion, kept)
+    return ground_transition_factor(
+        G(0), G(1), (past.nominal.axes, axes), full_noise("ground_transition", unsure), motion, kept
+    )
 
 
 def _known(make: Callable[[], tuple[Marginal, Marginal]]) -> _Known | None:

@@ -39,7 +39,7 @@ from fgrecon.solve.solve_settings import ROAD
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.camera_drift import CameraDrift
 from fgrecon.solve.time.frame import Frame
-from fgrecon.solve.time.neighbours import beliefs_with_neighbours
+from fgrecon.solve.time.heading_neighbours import beliefs_with_neighbours
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle_filter import FilterModel
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, velocity_covariances

@@ -55,7 +55,7 @@ def weights(tmp_path_factory):
     torch = pytest.importorskip("torch")
     from fgrecon.perception.keypoints.decode import ConfidenceCalibration
     from fgrecon.perception.keypoints.layout import KNetSettings
-    from fgrecon.perception.keypoints.weights import save_weights
+    from fgrecon.perception.keypoints.network_file import save_weights
     from tests.perception.untrained import untrained
 
     threads = torch.get_num_threads()

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from factors.errors import DegenerateProblemError
-from factors.kernel import ProjectionKernel
 from factors.keys import L, X
 from factors.losses import Loss, RobustLoss
 from factors.observation_rows import check_in_front, reprojection_factor
+from factors.projection_kernel import ProjectionKernel
 from factors.shape import LinearShape
 from factors.shape_prior import coefficients_prior
 from tests.factors.support import CAMERA, bound_shape, car_like, graph_of, project

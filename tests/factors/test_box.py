@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from factors.box import BoxRows, crease_rows, kink, soft_extents
-from factors.kernel import ProjectionKernel
 from factors.keypoint_rows import KeypointRows
 from factors.keys import L, X
 from factors.mixture import Form
 from factors.observation_rows import ObservationRows, term_factor
+from factors.projection_kernel import ProjectionKernel
 from factors.shape import LinearShape
 from factors.shape_prior import coefficients_prior
 from tests.factors.support import (

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from factors.ground import GroundRows
-from factors.kernel import ProjectionKernel
 from factors.keypoint_rows import KeypointRows
 from factors.keys import X
 from factors.observation_rows import ObservationRows, term_factor
+from factors.projection_kernel import ProjectionKernel
 from factors.shape import LinearShape
 from tests.factors.support import CAMERA, assert_jacobian, graph_of, optimize, random_pose
 

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 
 from factors.errors import InvalidInputError
 from factors.guard import guarded_factor
-from factors.kernel import ProjectionKernel
 from factors.keypoint_rows import whiteners
 from factors.keys import L, O, X
 from factors.losses import Loss, RobustLoss
 from factors.observation_rows import reprojection_factor
+from factors.projection_kernel import ProjectionKernel
 from factors.shape import LinearShape
 from factors.shape_prior import coefficients_prior
 from tests.factors.support import (

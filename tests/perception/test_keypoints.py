@@ -11,7 +11,7 @@ from safetensors.numpy import load, save
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.perception.keypoints.detect import KeypointCascade, as_rgb8
 from fgrecon.perception.keypoints.layout import KNetSettings
-from fgrecon.perception.keypoints.weights import load_weights, save_weights
+from fgrecon.perception.keypoints.network_file import load_weights, save_weights
 from tests.perception.untrained import untrained
 
 SMALL = KNetSettings(crop=32, width=8)

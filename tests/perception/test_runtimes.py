@@ -14,8 +14,8 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.perception.keypoints import sessions
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.layout import KNetSettings, RefineSettings
+from fgrecon.perception.keypoints.network_file import save_weights
 from fgrecon.perception.keypoints.sessions import at_most, chosen_runtime, open_session, threads_of_torch
-from fgrecon.perception.keypoints.weights import save_weights
 from fgrecon.simulation.demo import demo_scene
 from tests.perception.untrained import untrained
 

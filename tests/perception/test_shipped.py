@@ -9,7 +9,7 @@ from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon.perception.from_image import reconstruct_image
 from fgrecon.perception.keypoints.detect import KeypointCascade, detect_keypoints
-from fgrecon.perception.keypoints.weights import load_weights, shipped
+from fgrecon.perception.keypoints.network_file import load_weights, shipped
 from fgrecon.simulation.demo import demo_scene
 
 

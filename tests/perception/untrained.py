@@ -4,7 +4,7 @@ import numpy as np
 
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.layout import KNetLayout, RefineLayout
-from fgrecon.perception.keypoints.weights import Stored
+from fgrecon.perception.keypoints.network_file import Stored
 
 
 def untrained_arrays(layout, seed=0):

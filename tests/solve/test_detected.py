@@ -18,7 +18,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.sample import disturbed_boxes
 from fgrecon.solve.refine import refined
 from fgrecon.solve.scene import reconstruct_scene
-from fgrecon.solve.time.heading import Belief, box_evidence
+from fgrecon.solve.time.heading_filter import Belief, box_evidence
 from fgrecon.solve.vehicle.model import prepare, sized
 from tests.cars import CAMERA, observe, yaw_pose
 from tests.solve.test_scene import on_the_road

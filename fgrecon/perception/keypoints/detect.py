@@ -26,9 +26,9 @@ from fgrecon.perception.keypoints.decode import (
     softmax,
 )
 from fgrecon.perception.keypoints.layout import PATCH, SETTINGS, KNetLayout, KNetSettings, RefineLayout, RefineSettings
+from fgrecon.perception.keypoints.network_file import WITHOUT_STREET, check_arrays, load_weights, shipped
 from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, threads_of_torch
-from fgrecon.perception.keypoints.weights import WITHOUT_STREET, check_arrays, load_weights, shipped
 
 __all__ = [
     "REACH",

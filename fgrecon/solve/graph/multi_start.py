@@ -106,8 +106,8 @@ def minimise_from_proposals(
         Graph(observations, start, pose_free=True, extra=extra)
     best = _run(observations, start, extra, steady)
     if len(observations) == 1:
-        return _decide(observations, best, starts[0], extra, steady)
-    return _change_over(observations, best, starts, extra, in_order=in_order)
+        return _lowest_energy_mode(observations, best, starts[0], extra, steady)
+    return _select_modes_of_images(observations, best, starts, extra, in_order=in_order)
 
 
 def start_state(observations: Sequence[GraphObservation], starts: Sequence[PoseEstimate]) -> State:
@@ -151,12 +151,12 @@ def _run(
     )
 
 
-def _matter(start: PoseEstimate) -> list[Alternative]:
+def _close_proposals(start: PoseEstimate) -> list[Alternative]:
     """The proposals to refine beside the best; none where the strategy defines no energy."""
     return [alternative for alternative in start.alternatives if alternative.excess <= SETTINGS.proposal_gap_nats]
 
 
-def _decide(
+def _lowest_energy_mode(
     observations: Sequence[GraphObservation],
     first: MultiStartResult,
     start: PoseEstimate,
@@ -169,13 +169,13 @@ def _decide(
         moved = replace(start, camera_T_object=other.camera_T_object, coefficients=other.coefficients)
         return _run(observations, start_state(observations, [moved]), extra, steady)
 
-    solved = [one for one in [first, *map(refine, _matter(start))] if one.optimum.failure is None]
+    solved = [one for one in [first, *map(refine, _close_proposals(start))] if one.optimum.failure is None]
     if not solved:
         return first
     best = min(solved, key=lambda one: one.optimum.energy)
     least = -np.inf
     if start.everywhere and not extra:  # of which the search knows nothing
-        best, more = _searched_on(observations[0], best, refine)
+        best, more = _restarted(observations[0], best, refine)
         solved += more
         least = 0.0 if more else least  # what is lower by so little that it is no other result
     others = [
@@ -191,7 +191,7 @@ def _decide(
     return replace(best, alternatives=(_distinct(best.optimum.state.poses[0], [*others, *left]),))
 
 
-def _searched_on(
+def _restarted(
     one: GraphObservation, best: MultiStartResult, refine: Callable[[Alternative], MultiStartResult]
 ) -> tuple[MultiStartResult, list[MultiStartResult]]:
     """A result that rests on few keypoints, or a better one from a search from there; and all that was refined."""
@@ -222,7 +222,7 @@ def _rests_on_few(problem: Problem, optimum: Optimum) -> bool:
     return float(optimum.state.weights[0].keypoints.sum()) < few
 
 
-def _change_over(
+def _select_modes_of_images(
     observations: Sequence[GraphObservation],
     best: MultiStartResult,
     starts: Sequence[PoseEstimate],
@@ -274,16 +274,16 @@ def _modes_of(
     modes = []
     for i, (one, start) in enumerate(zip(observations, starts, strict=True)):
         here = State([state.poses[i]], {one.vehicle: state.shapes[one.vehicle]}, [state.weights[i]])
-        others = [other.camera_T_object for other in _matter(start)]
+        others = [other.camera_T_object for other in _close_proposals(start)]
         if others or turn_between(poses[i], start.camera_T_object) > POSE_SEARCH.distinct_turn_radians:
             others.append(start.camera_T_object)
         if doubt and not any(is_flipped(poses[i], other) for other in others):
             others.append(poses[i] @ HALF_TURN)
-        modes.append(_held(one, here, others, extra))
+        modes.append(_refined_with_shape_held(one, here, others, extra))
     return modes
 
 
-def _held(
+def _refined_with_shape_held(
     one: GraphObservation, here: State, others: Sequence[NDArray[np.float64]], extra: Sequence[gtsam.NonlinearFactor]
 ) -> list[Alternative]:
     """The present pose of an image and others, refined with the shape held: energies in nats."""

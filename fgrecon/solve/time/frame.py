@@ -12,7 +12,7 @@ from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.time.heading import HEADINGS, Belief, carried
+from fgrecon.solve.time.heading_filter import HEADINGS, Belief, carried
 from fgrecon.solve.time.time_settings import SETTINGS
 
 __all__ = ["Frame", "FrameStep", "PosedImage"]

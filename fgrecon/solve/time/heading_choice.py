@@ -20,7 +20,7 @@ from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.terms import direction_penalty
 from fgrecon.solve.time.frame import Frame, PosedImage
-from fgrecon.solve.time.heading import another_side, backward, combined, direction_evidence, pose_evidence
+from fgrecon.solve.time.heading_filter import another_side, backward, combined, direction_evidence, pose_evidence
 from fgrecon.solve.time.time_settings import SETTINGS
 
 __all__ = ["choose_headings", "image_evidence", "moved_to"]

@@ -11,8 +11,8 @@ from dataclasses import replace
 from fgrecon.core.category import MotionModel
 from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.time.frame import Frame
-from fgrecon.solve.time.heading import Belief, backward, combined
 from fgrecon.solve.time.heading_choice import choose_headings
+from fgrecon.solve.time.heading_filter import Belief, backward, combined
 from fgrecon.solve.time.time_settings import SETTINGS
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, solve_single, solve_window
 

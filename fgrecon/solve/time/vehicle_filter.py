@@ -33,8 +33,8 @@ from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.frame import Frame, FrameStep
-from fgrecon.solve.time.heading import Belief, evidence_weight, path_evidence
 from fgrecon.solve.time.heading_choice import choose_headings, image_evidence
+from fgrecon.solve.time.heading_filter import Belief, evidence_weight, path_evidence
 from fgrecon.solve.time.time_settings import SETTINGS
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, solve_single, solve_window, thinned
 

@@ -38,7 +38,7 @@ from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.frame import Frame
-from fgrecon.solve.time.heading import another_side
+from fgrecon.solve.time.heading_filter import another_side
 from fgrecon.solve.time.motion_terms import between_terms, velocity_terms
 from fgrecon.solve.time.time_settings import SETTINGS
 

@@ -10,7 +10,7 @@ import fgrecon
 from factors.noise import full_noise
 from fgrecon.solve.time.camera_drift import CameraDrift
 from fgrecon.solve.time.frame import FrameStep
-from fgrecon.solve.time.heading import HEADINGS, Belief, backward, carried, combined, pose_evidence
+from fgrecon.solve.time.heading_filter import HEADINGS, Belief, backward, carried, combined, pose_evidence
 from tests.solve.time.streets import CAMERA, seen, upright
 
 

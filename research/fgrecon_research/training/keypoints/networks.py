@@ -12,7 +12,7 @@ from fgrecon.core.settings import check_settings, count, number
 from fgrecon.io.integrity import stored as taken_over
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
-from fgrecon.perception.keypoints.weights import Stored, save_weights
+from fgrecon.perception.keypoints.network_file import Stored, save_weights
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.began import begin_alike, file_hash, source_hash
 from fgrecon_research.training.keypoints.calibrate import SCORED, calibrate

@@ -20,7 +20,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.integrity import stored
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
-from fgrecon.perception.keypoints.weights import Stored, save_weights
+from fgrecon.perception.keypoints.network_file import Stored, save_weights
 from fgrecon_research.training.keypoints.began import begin_alike, file_hash, files_hash, source_hash, state_hash
 from fgrecon_research.training.keypoints.dataset import Photographs
 from fgrecon_research.training.keypoints.labelling import (

@@ -10,11 +10,11 @@ from typing import Any
 from numpy.typing import NDArray
 from torch import from_numpy
 
-from fgrecon.perception.keypoints.weights import Stored, load_weights
+from fgrecon.perception.keypoints.network_file import Stored, load_weights
 
 
 def load_tensors(path: Path) -> Stored:
-    """`fgrecon.perception.keypoints.weights.load_weights`, in tensors.
+    """`fgrecon.perception.keypoints.network_file.load_weights`, in tensors.
 
     Raises:
         InvalidInputError: The file cannot be read or is no network of ours, or has been changed.

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fgrecon.perception.keypoints.layout import KNetLayout, KNetSettings, RefineLayout, RefineSettings, same
+from fgrecon.perception.keypoints.network_file import load_weights, shipped
 from fgrecon.perception.keypoints.networks import folded_arrays
-from fgrecon.perception.keypoints.weights import load_weights, shipped
 
 torch = pytest.importorskip("torch")
 

@@ -9,7 +9,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.images import write_png
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
-from fgrecon.perception.keypoints.weights import Stored, save_weights
+from fgrecon.perception.keypoints.network_file import Stored, save_weights
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.dataset import Photographs, prepare_photographs
 from fgrecon_research.training.keypoints.labels import fit_shape, project_labels

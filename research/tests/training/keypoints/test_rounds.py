@@ -11,7 +11,7 @@ from fgrecon.core.errors import DamagedFileWarning, InvalidInputError
 from fgrecon.io.images import write_png
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
-from fgrecon.perception.keypoints.weights import Stored, save_weights
+from fgrecon.perception.keypoints.network_file import Stored, save_weights
 from fgrecon_research.training.keypoints.calibrate import calibrate
 from fgrecon_research.training.keypoints.evaluate import azimuth_errors, localisation, marks_reliability, score_marks
 from fgrecon_research.training.keypoints.marks import Mark

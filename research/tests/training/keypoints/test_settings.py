@@ -8,7 +8,7 @@ from fgrecon.core.errors import InvalidInputError
 
 pytest.importorskip("torch")
 
-from fgrecon.perception.keypoints.weights import WITHOUT_STREET, shipped
+from fgrecon.perception.keypoints.network_file import WITHOUT_STREET, shipped
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.networks import Plan
 from fgrecon_research.training.keypoints.settings import Phase, TrainingSettings, read_settings, shipped_settings

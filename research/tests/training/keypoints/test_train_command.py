@@ -12,7 +12,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
-from fgrecon.perception.keypoints.weights import Stored, save_weights
+from fgrecon.perception.keypoints.network_file import Stored, save_weights
 from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.labels import vehicle_labels
 from fgrecon_research.io.coco_keypoints import write_coco_keypoints

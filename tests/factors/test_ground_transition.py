@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors import marginal, road_factor
+from factors import ground_transition_factor, marginal
 from factors.contact import GroundFrame
 from factors.errors import InvalidInputError
 from factors.keys import G
@@ -26,7 +26,7 @@ def values_of(now, then):
 @pytest.mark.parametrize("frames", [(LEVEL, LEVEL), (LEVEL, TILTED), (TILTED, LEVEL)])
 def test_jacobian(camera, frames):
     rng = np.random.default_rng(0)
-    factor = road_factor(G(0), G(1), frames, NOISE, camera, kept=0.9)
+    factor = ground_transition_factor(G(0), G(1), frames, NOISE, camera, kept=0.9)
     for _ in range(5):
         assert_jacobian(factor, values_of(*(rng.normal(size=(2, 3)) * [0.2, 0.05, 0.05])))
 
@@ -35,7 +35,7 @@ def test_jacobian(camera, frames):
 def test_the_plane_is_the_same_seen_from_the_next_camera(frames):
     """Points of the plane now lie, seen from the camera then, on the plane at which the factor has no residual."""
     now = np.array([0.1, 0.02, -0.03])
-    factor = road_factor(G(0), G(1), frames, NOISE, CAMERA)
+    factor = ground_transition_factor(G(0), G(1), frames, NOISE, CAMERA)
     then = -factor.unwhitenedError(values_of(now, np.zeros(3)))
     normal, distance = frames[0].plane(now)
     across = np.linalg.svd(normal[None])[2][1:]
@@ -47,14 +47,14 @@ def test_the_plane_is_the_same_seen_from_the_next_camera(frames):
 
 def test_without_the_cameras_motion_the_deviation_stays_as_far_as_it_is_kept():
     now = np.array([0.1, 0.02, -0.03])
-    factor = road_factor(G(0), G(1), (LEVEL, LEVEL), NOISE, kept=0.8)
+    factor = ground_transition_factor(G(0), G(1), (LEVEL, LEVEL), NOISE, kept=0.8)
     assert factor.error(values_of(now, 0.8 * now)) == pytest.approx(0.0, abs=1e-15)
 
 
 def test_what_leaves_the_chain_is_as_sure_as_the_sum_of_variances():
     graph, values = gtsam.NonlinearFactorGraph(), values_of(np.zeros(3), np.zeros(3))
     graph.add(gtsam.PriorFactorVector(G(0), np.full(3, 0.01), gtsam.noiseModel.Isotropic.Sigma(3, 0.05)))
-    graph.add(road_factor(G(0), G(1), (LEVEL, LEVEL), NOISE, kept=0.9))
+    graph.add(ground_transition_factor(G(0), G(1), (LEVEL, LEVEL), NOISE, kept=0.9))
     left = marginal(graph, values, [G(0)])
     covariance = np.linalg.inv(left.matrix.T @ left.matrix)
     np.testing.assert_allclose(covariance, np.diag((0.9 * 0.05) ** 2 + NOISE.sigmas() ** 2), rtol=1e-6)
@@ -63,5 +63,5 @@ def test_what_leaves_the_chain_is_as_sure_as_the_sum_of_variances():
 
 @pytest.mark.parametrize("kept", [0.0, 1.1, np.nan])
 def test_a_share_is_a_share(kept):
-    with pytest.raises(InvalidInputError, match=r"road\.kept"):
-        road_factor(G(0), G(1), (LEVEL, LEVEL), NOISE, kept=kept)
+    with pytest.raises(InvalidInputError, match=r"ground_transition\.kept"):
+        ground_transition_factor(G(0), G(1), (LEVEL, LEVEL), NOISE, kept=kept)

@@ -1,6 +1,6 @@
 """The ground from one image to the next: its plane is kept, and carried along with the camera.
 
-    G(t) ---- road (3) ---- G(t')
+    G(t) ---- same ground (3) ---- G(t')
 
 The change G(t') of the plane from its nominal one (`factors.contact`) should be
 
@@ -25,12 +25,12 @@ from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
 
-__all__ = ["road_factor"]
+__all__ = ["ground_transition_factor"]
 
 Array = NDArray[np.float64]
 
 
-def road_factor(
+def ground_transition_factor(
     ground_key: int,
     next_key: int,
     frames: tuple[GroundFrame, GroundFrame],
@@ -51,16 +51,16 @@ def road_factor(
     Raises:
         InvalidInputError: The share is out of its range, or the noise model has another dimension.
     """
-    share = float(finite_array("road.kept", kept, ()))
+    share = float(finite_array("ground_transition.kept", kept, ()))
     if not 0.0 < share <= 1.0:
-        raise InvalidInputError("road.kept", kept, "Give a share above 0 and at most 1.")
+        raise InvalidInputError("ground_transition.kept", kept, "Give a share above 0 and at most 1.")
     motion = None if camera_motion is None else (camera_motion.rotation().matrix(), camera_motion.translation())
-    callback = _Road(ground_key, next_key, frames, motion, share)
-    return guarded_factor("road", noise, (ground_key, next_key), (3, 3), 3, callback)
+    callback = _Transition(ground_key, next_key, frames, motion, share)
+    return guarded_factor("ground_transition", noise, (ground_key, next_key), (3, 3), 3, callback)
 
 
 @dataclass(frozen=True, slots=True)
-class _Road:
+class _Transition:
     ground_key: int
     next_key: int
     frames: tuple[GroundFrame, GroundFrame]
@@ -76,7 +76,7 @@ class _Road:
     def _carried(self, change: Array, rotation: Array, way: Array) -> tuple[Array, Array]:
         """The plane's change in the next camera's frame, and its derivative."""
         now, then = self.frames
-        normal, by_ab = now.turned(change)
+        normal, by_ab = now.tilted(change)
         distance = now.distance + float(change[0])
         turned, turned_by_ab = rotation.T @ normal, rotation.T @ by_ab
         ahead = float(then.normal @ turned)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from factors.errors import InvalidInputError
-from factors.kernel import ProjectionKernel
 from factors.keys import L, X
+from factors.projection_kernel import ProjectionKernel
 from factors.shape import LinearShape
 from tests.factors.support import CAMERA, bound_shape, car_like, project, random_pose
 

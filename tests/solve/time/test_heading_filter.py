@@ -5,7 +5,7 @@ import pytest
 
 from fgrecon.core.half_turn import flipped_observation, partners
 from fgrecon.core.metrics import wrap_angle
-from fgrecon.solve.time.heading import (
+from fgrecon.solve.time.heading_filter import (
     HEADINGS,
     Belief,
     backward,

@@ -7,8 +7,8 @@ import pytest
 
 import fgrecon
 from fgrecon.core.half_turn import flipped_directions
-from fgrecon.solve.time.heading import Belief
-from fgrecon.solve.time.neighbours import beliefs_with_neighbours, neighbour_evidence
+from fgrecon.solve.time.heading_filter import Belief
+from fgrecon.solve.time.heading_neighbours import beliefs_with_neighbours, neighbour_evidence
 from tests.solve.time.streets import CAMERA, off, seen, upright
 
 AHEAD = -np.pi / 2.0  # of a vehicle that faces as the camera looks

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fgrecon.core.detection import half_around
 from fgrecon.core.heading_coupling import heading_odds, mean_field
 from fgrecon.solve.time.frame import Frame
-from fgrecon.solve.time.heading import HEADINGS, Belief
+from fgrecon.solve.time.heading_filter import HEADINGS, Belief
 from fgrecon.solve.time.smooth import beliefs, pieces
 from fgrecon.solve.time.time_settings import SETTINGS
 
