@@ -60,7 +60,7 @@ class VehicleOptions:
 
     tracks: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Vehicles detected by others: KITTI's tracking labels, or keypoints."),
+        typer.Option(metavar="FILE", help="Vehicles detected by others: KITTI's tracking lines, MOT's, or keypoints."),
     ] = None
     forget_ids: Annotated[bool, typer.Option("--forget-ids", help="Give those vehicles ids anew.")] = False
     box_model: Annotated[

@@ -15,9 +15,9 @@ as those of a folder are (`fgrecon.io.frame_names`).
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +38,9 @@ from fgrecon.video.records import Sighting
 __all__ = ["KINDS", "Given", "read_given"]
 
 KINDS = ("Car", "Van")
-"""Types of KITTI's objects that are taken."""
+"""Types of KITTI's objects that are taken, in capitals or not."""
+
+_REGION = "dontcare"  # KITTI's areas without labels
 
 _LARGEST_ID = 2**62  # ids that are given anew go on from the largest, and tables have 64 bits for them
 
@@ -61,12 +63,14 @@ class Given:
         camera: The camera that the file names first, or None.
         cuboids: Whether the boxes enclose projected 3D boxes, as KITTI's do; else outlines.
         times: Seconds of the frames, by number; None where the file tells none.
+        left_out: How many boxes of other types the file has, by type.
     """
 
     vehicles: Mapping[int, tuple[Sighting, ...]]
     camera: Camera | None
     cuboids: bool
     times: _Times | None = None
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def largest_id(self) -> int:
@@ -101,18 +105,25 @@ def read_given(path: Path, category: Category, *, forget_ids: bool = False, sour
     by_frame: dict[int, list[Sighting]] = defaultdict(list)
     is_json = path.suffix.lower() == ".json"
     is_mot = not is_json and _is_mot(path)
+    left_out: Counter[str] = Counter()
     if is_json:
         rows, camera, times = _keypoints(path, category, source)
     else:
-        rows, camera, times = _mot(path, source) if is_mot else _boxes(path), None, None
+        rows, camera, times = _mot(path, source, left_out) if is_mot else _boxes(path, left_out), None, None
     for number, sighting in rows:
         by_frame[number].append(replace(sighting, identity=None) if forget_ids else sighting)
     for number, sightings in by_frame.items():
         _check_ids([s.identity for s in sightings if s.identity is not None], f"{path}: frame {number}")
     if not by_frame:
-        raise InvalidInputError("tracks", str(path), f"Give a file with a vehicle: {' or '.join(KINDS)}; {_FORMATS}.")
+        value = f"{path} with {in_words(left_out)}" if left_out else str(path)
+        raise InvalidInputError("tracks", value, f"Give a file with a vehicle: {' or '.join(KINDS)}; {_FORMATS}.")
     vehicles = {number: tuple(sightings) for number, sightings in by_frame.items()}
-    return Given(vehicles, camera, not (is_json or is_mot), times)
+    return Given(vehicles, camera, not (is_json or is_mot), times, left_out)
+
+
+def in_words(counts: Mapping[str, int]) -> str:
+    """How many of each type: `3 Truck, 1 Tram`."""
+    return ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items()))
 
 
 def _check_ids(ids: Sequence[int], place: str) -> None:
@@ -123,15 +134,18 @@ def _check_ids(ids: Sequence[int], place: str) -> None:
         raise InvalidInputError(place, f"track {largest}", f"Give ids up to {_LARGEST_ID}.")
 
 
-def _boxes(path: Path) -> _Rows:
+def _boxes(path: Path, left_out: Counter[str]) -> _Rows:
+    """KITTI's boxes; those of other types are counted."""
     rows = []
     for number, labels in read_tracking(path).items():
         for i, kind in enumerate(labels.objects.kind):
-            if kind in KINDS:
+            if kind.capitalize() in KINDS:
                 score, track = float(labels.objects.score[i]), int(labels.tracks[i])
                 identity = None if track < 0 else track
                 known = 1.0 if np.isnan(score) else score
-                rows.append((number, Sighting(labels.objects.box[i], known, identity, None, kind)))
+                rows.append((number, Sighting(labels.objects.box[i], known, identity, None, kind.capitalize())))
+            elif kind.lower() != _REGION:
+                left_out[kind] += 1
     return rows
 
 
@@ -143,8 +157,8 @@ def _is_mot(path: Path) -> bool:
         return False
 
 
-def _mot(path: Path, source: FrameSource | None) -> _Rows:
-    """MOT's boxes; its frames count from 1, as do those of its images, and those of a video from 0."""
+def _mot(path: Path, source: FrameSource | None, left_out: Counter[str]) -> _Rows:
+    """MOT's boxes. Its frames count from 1, as its images do, those of a video from 0; other classes are counted."""
     first = 0 if source is None or (isinstance(source, ImageFrames) and source.numbered) else 1
     rows = []
     for place, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1):
@@ -158,8 +172,8 @@ def _mot(path: Path, source: FrameSource | None) -> _Rows:
                 raise ValueError(line)
         except ValueError as error:
             raise InvalidInputError(f"{path}:{place}", line[:80], _MOT_FIX) from error
-        labelled = len(values) == _MOT_LABEL_COLUMNS
-        if labelled and (values[7] != _MOT_CAR or values[6] == 0):  # of another class, or not to be considered
+        if len(values) == _MOT_LABEL_COLUMNS and (values[7] != _MOT_CAR or values[6] == 0):
+            left_out["not to be considered" if values[6] == 0 else f"of class {values[7]:g}"] += 1
             continue
         score = 1.0 if len(values) == _MOT_COLUMNS or values[6] == -1 else float(values[6])
         box = np.concatenate([values[2:4], values[2:4] + size])

@@ -49,7 +49,7 @@ from fgrecon.video.coverage import check_coverage, planned_frames
 from fgrecon.video.focal import estimate_camera
 from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector
-from fgrecon.video.given import Given, read_given
+from fgrecon.video.given import KINDS, Given, in_words, read_given
 from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.rows import frame_lines, rows_of, tracking_text
 from fgrecon.video.run import VideoRun, run_video
@@ -176,6 +176,8 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
     source, given = _open_source(request)
     if source.assumed_rate:
         warn(f"No --fps is given: {DEFAULT_RATE:g} frames per second are assumed; speeds go with it.")
+    if given is not None and given.left_out:
+        warn(f"{request.tracks}: {in_words(given.left_out)} are left out, since they are no {' or '.join(KINDS)}.")
     source_has = BoxModel.DETECTED if given is None else BoxModel.CUBOID if given.cuboids else BoxModel.SURFACE
     box = replace(options.box, model=request.box_model or source_has)
     settings = replace(request.settings, options=replace(options, box=box))

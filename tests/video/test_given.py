@@ -229,3 +229,15 @@ def test_scores_of_keypoints_are_kept(tmp_path):
     (seen,) = (car[0] for car in simulated(1, seeds=(3,)))
     (path := tmp_path / "a.json").write_text(json.dumps([instance(seen, 3, 1) | {"score": 0.37}]))
     assert read_given(path, CAR14).vehicles[3][0].score == 0.37
+
+
+def test_types_are_taken_in_any_letters_and_others_are_counted(tmp_path):
+    path = tmp_path / "label_02.txt"
+    kinds = ("car", "VAN", "Truck", "DontCare", "Tram", "Truck")
+    path.write_text("".join(f"2 {i} {CAR.replace('Car', kind)}\n" for i, kind in enumerate(kinds)))
+    given = read_given(path, CAR14)
+    assert [(s.identity, s.kind) for s in given.vehicles[2]] == [(0, "Car"), (1, "Van")]
+    assert given.left_out == {"Truck": 2, "Tram": 1}
+    path.write_text(f"2 1 {CAR.replace('Car', 'Truck')}\n")
+    with pytest.raises(InvalidInputError, match=r"with 1 Truck\. Give a file with a vehicle: Car or Van"):
+        read_given(path, CAR14)

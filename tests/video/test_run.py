@@ -1,15 +1,18 @@
 """Runs over videos: stopped and gone on with, they give what one that was not stopped gives."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import DamagedFileWarning, InvalidInputError, UncoveredFramesWarning
-from fgrecon.io.catalogue import load_category
+from fgrecon.core.options import Options
+from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon.io.frames import ImageFrames
 from fgrecon.io.kitti_drives import read_drive
+from fgrecon.io.run_settings import RunSettings
+from fgrecon.io.video import write_video
 from fgrecon.simulation import KITTI_CAMERA
 from fgrecon.video import (
     CameraPoses,
@@ -24,6 +27,7 @@ from fgrecon.video import (
     run_video,
 )
 from fgrecon.video.coverage import coverage_warnings, planned_frames
+from fgrecon.video.video_job import VideoRequest, prepare_video
 from tests.video.streets import make_drive
 
 CAR14 = load_category("car14")
@@ -191,6 +195,30 @@ def test_a_run_that_is_stopped_at_its_last_frame_has_ended(drive, tmp_path):
         go_on = {"go_on": lambda run, _, most=most: len(run.frames) < most}
         found = run_video(source, look, follower, tmp_path / "out", settings={}, **go_on)
         assert (len(found.frames), found.stopped) == (most, stopped)
+
+
+def test_a_video_has_the_frames_that_it_has(tmp_path):
+    """Its head tells 30 a second, and so half of its frames, which come at 60."""
+    pytest.importorskip("av", reason="PyAV is not installed: pip install fgrecon[video]")
+    with write_video(tmp_path / "uneven.mkv", rate=30) as add:
+        for number in range(40):
+            add(np.full((96, 128, 3), 6 * number, np.uint8), number / 60)
+    source = open_frames(tmp_path / "uneven.mkv")
+    assert source.count < 40
+    assert [number for number, _ in planned_frames(source)] == list(range(40))
+    assert [time for _, time in planned_frames(source)] == pytest.approx(np.arange(40) / 60, abs=2e-3)
+    request = VideoRequest(
+        str(source.path), tmp_path / "out", RunSettings(load_prior("car14"), None, None, Options()), picture_frame=39
+    )
+    calls = {"warn": lambda _: None}
+    assert prepare_video(request, **calls).request.picture_frame == 39
+    with pytest.raises(InvalidInputError, match="picture_frame"):
+        prepare_video(replace(request, picture_frame=40), **calls)
+    for most, stopped in ((39, True), (40, False)):
+        follower = Follower(SingleImageTracker(prior="car14"), GatedAssociation(), KITTI_CAMERA)
+        look = FrameDetector(CAR14, given={0: ()})
+        go_on = {"go_on": lambda run, _, most=most: len(run.frames) < most}
+        assert run_video(source, look, follower, tmp_path / f"{most}", settings={}, **go_on).stopped == stopped
 
 
 @pytest.mark.data
