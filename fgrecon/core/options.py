@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar
 
@@ -161,17 +160,6 @@ _KINDS: dict[str, Any] = {
     "shape": ShapeOptions,
 }
 
-_MOVED = {
-    "sigma_relative": ("keypoints", "sigma_relative"),
-    "sigma_pixels": ("keypoints", "sigma_pixels"),
-    "box_model": ("box", "model"),
-    "box_sigma_relative": ("box", "sigma_relative"),
-    "box_sigma_pixels": ("box", "sigma_pixels"),
-    "azimuths": ("search", "azimuths"),
-    **{entry.name: ("shape", entry.name) for entry in fields(ShapeOptions)},
-}
-"""Where the settings are that stood in one row in the first release: group and name."""
-
 
 @dataclass(frozen=True, init=False)
 class Options:
@@ -189,7 +177,6 @@ class Options:
         keep_history: Record every iteration.
         traffic: The side that traffic keeps to, where the camera looks along the road: says which way vehicles face,
             beside what the keypoints' detector says of that (`fgrecon.core.heading_coupling`). None where nobody says.
-        confidence_midpoint: Deprecated: what a confidence means belongs to the `Observation`, which this overrules.
     """
 
     strategy: RobustStrategy
@@ -201,7 +188,6 @@ class Options:
     ambiguity_margin: float = number(3.0, least=0.0)
     keep_history: bool = flag(default=True)
     traffic: TrafficSide | None = choice_or_none(TrafficSide)
-    confidence_midpoint: float | None = number(None, least=1e-6)
 
     TERMS: ClassVar[tuple[str, ...]] = (
         *(name for name in SHAPE_TERMS if name not in {"coefficients", "offsets"}),
@@ -222,8 +208,6 @@ class Options:
         ambiguity_margin: float = 3.0,
         keep_history: bool = True,
         traffic: TrafficSide | str | None = None,
-        confidence_midpoint: float | None = None,
-        **moved: Any,
     ) -> None:
         """Check the settings; None is a group's defaults.
 
@@ -237,28 +221,18 @@ class Options:
             ambiguity_margin: In nats.
             keep_history: Record every iteration.
             traffic: Side that traffic keeps to (`right`, `left`), or None.
-            confidence_midpoint: Of the first release: overrules what observations say.
-            moved: Other names of the first release, which had no groups: taken with a `DeprecationWarning`.
 
         Raises:
-            InvalidInputError: A setting is unknown, has the wrong type, or is out of range.
+            InvalidInputError: A setting has the wrong type or is out of range.
         """
         given = {"keypoints": keypoints, "box": box, "search": search, "shape": shape}
-        groups = {name: _group(name, value) for name, value in given.items()}
-        if confidence_midpoint is not None:
-            message = "A confidence's meaning is now said with it: Observation(..., confidence_midpoint=...)"
-            warnings.warn(message, DeprecationWarning, stacklevel=2)
-        for name, value in moved.items():
-            group, setting = _new_place(name, value)
-            groups[group] = replace(groups[group], **{setting: value})
         settings = {
             "strategy": named_strategy(strategy),
-            **groups,
+            **{name: _group(name, value) for name, value in given.items()},
             "disabled_terms": _terms(disabled_terms),
             "ambiguity_margin": ambiguity_margin,
             "keep_history": keep_history,
             "traffic": traffic,
-            "confidence_midpoint": confidence_midpoint,
         }
         for name, value in settings.items():
             object.__setattr__(self, name, value)
@@ -299,16 +273,6 @@ def _group(name: str, value: Any) -> Any:
     if not isinstance(value, kind):
         raise InvalidInputError(f"options.{name}", value, f"Give `{kind.__name__}`, or None for its defaults.")
     return value
-
-
-def _new_place(name: str, value: Any) -> tuple[str, str]:
-    """Group and name of a setting of the first release."""
-    if name not in _MOVED:
-        raise InvalidInputError(f"options.{name}", value, "There is no such setting: see `fgrecon.Options`.")
-    group, setting = _MOVED[name]
-    form = f"{group}={_KINDS[group].__name__}({setting}=...)"
-    warnings.warn(f"Options({name}=...) is now Options({form})", DeprecationWarning, stacklevel=3)
-    return group, setting
 
 
 def _terms(value: Iterable[str]) -> frozenset[str]:

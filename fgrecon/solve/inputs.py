@@ -128,8 +128,6 @@ def observe(
                 raise InvalidInputError(field, "given twice", "The observation has it: give it there.")
         as_shape("keypoints", keypoints.keypoints, (category.size, 2), fix)
         observation = keypoints
-        if options.confidence_midpoint is not None:
-            observation = replace(observation, confidence_midpoint=options.confidence_midpoint)
     else:
         pixels = as_shape("keypoints", keypoints, (category.size, None), fix)
         if pixels.shape[1] not in (2, 3):
@@ -139,7 +137,7 @@ def observe(
                 fix = "Give it here or as the third number of every keypoint."
                 raise InvalidInputError("confidence", "given twice", fix)
             pixels, confidence = pixels[:, :2], np.where(np.isnan(pixels).any(axis=1), 0.0, pixels[:, 2])
-        observation = Observation.of(pixels, confidence, box, covariance, options.confidence_midpoint)
+        observation = Observation.of(pixels, confidence, box, covariance)
     if observation.box is not None and camera.image_size is not None:
         (left, top, right, bottom), (width, height) = observation.box, camera.image_size
         if right <= -0.5 or bottom <= -0.5 or left >= width - 0.5 or top >= height - 0.5:

@@ -60,7 +60,6 @@ DEFAULTS = {
     "disabled_terms": frozenset({"laplacian", "planarity"}),
     "ambiguity_margin": 3.0,
     "keep_history": True,
-    "confidence_midpoint": None,
 }
 
 

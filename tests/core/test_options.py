@@ -85,7 +85,6 @@ def test_zero_is_allowed_where_it_means_something(kind):
         (lambda: Options(disabled_terms=3), "disabled_terms"),
         (lambda: Options(ambiguity_margin=-1.0), "ambiguity_margin"),
         (lambda: Options(keep_history="yes"), "keep_history"),
-        (lambda: Options(gravity=9.81), "gravity"),
     ],
 )
 def test_choices(make, field):
@@ -98,26 +97,6 @@ def test_an_unknown_strategy():
     for value in ("l1", 3, None):
         with pytest.raises(InvalidInputError, match="strategy: got"):
             Options(strategy=value)
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ({"sigma_relative": 0.05}, {"keypoints": KeypointOptions(sigma_relative=0.05)}),
-        ({"box_model": "off", "box_sigma_pixels": 2.0}, {"box": BoxOptions(BoxModel.OFF, sigma_pixels=2.0)}),
-        ({"azimuths": 12}, {"search": SearchOptions(12)}),
-        ({"joint": False, "laplacian_sigma": 1.0}, {"shape": ShapeOptions(joint=False, laplacian_sigma=1.0)}),
-    ],
-)
-def test_the_first_releases_names_still_work(old, new):
-    with pytest.warns(DeprecationWarning, match="is now Options"):
-        options = Options(**old)
-    assert options == Options(**new)
-
-
-def test_the_first_releases_meaning_of_a_confidence_still_works():
-    with pytest.warns(DeprecationWarning, match="said with it"):
-        assert Options(confidence_midpoint=0.5).confidence_midpoint == 0.5
 
 
 def test_options_of_a_call():

@@ -215,9 +215,6 @@ def test_a_confidence_means_what_its_observation_says(seen):
     observation = seen[0]
     strict = replace(observation, confidence_midpoint=0.9)
     assert reconstruct(strict, CAMERA).diagnostics.weights.sum() < solve(observation).diagnostics.weights.sum() - 0.02
-    with pytest.warns(DeprecationWarning, match="confidence_midpoint"):
-        old = Options(confidence_midpoint=0.9)
-    assert_alike(reconstruct(strict, CAMERA), solve(observation, options=old), 0.0)
 
 
 def test_an_image_of_twice_the_size(seen):
