@@ -155,15 +155,11 @@ class GatedAssociation:
         settings: When a detection is a track's.
         first: The first id.
         given_up: Called with each id that is given up and never comes back; or None.
-        deaths: How many tracks were given up.
-        rebirths: How often a track that was not alive any more had its id back.
     """
 
     settings: AssociationSettings = SETTINGS
     first: int = 0
     given_up: Callable[[int], None] | None = None
-    deaths: int = field(default=0, init=False)
-    rebirths: int = field(default=0, init=False)
     _tracks: dict[int, _Track] = field(default_factory=dict, init=False)
     _ids: count[int] = field(init=False)
     _begun: list[_Track] = field(default_factory=list, init=False)
@@ -192,7 +188,6 @@ class GatedAssociation:
             free = [place for place in places if ids[place] is None]
             for row, place in self._assigned(time, [self._tracks[i] for i in left], candidates, free):
                 ids[place] = left[row]
-                self.rebirths += group is lost
         for place, known in enumerate(ids):
             if known is not None:
                 self._tracks[known] = self._updated(self._tracks[known], time, candidates[place])
@@ -213,7 +208,6 @@ class GatedAssociation:
         """Drop the tracks that were not observed for too long."""
         for identity in [i for i, track in self._tracks.items() if time - track.time > self.settings.memory_seconds]:
             del self._tracks[identity]
-            self.deaths += 1
             if self.given_up is not None:
                 self.given_up(identity)
         self._begun = [track for track in self._begun if time - track.time <= self.settings.alive_seconds]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -70,15 +71,16 @@ def coverage_warnings(
     lines, numbers = [], [number for number, _ in frames]
     if poses is not None and poses and (without := sum(poses.at(*frame) is None for frame in frames)):
         spans = f"the poses are of {poses.span}, the frames {_span(frames, poses)}"
+        verb = "has" if without == 1 else "have"
         hint = "" if poses.times else _hint(poses.by_frame, numbers)
-        lines.append(
-            f"{without} of {counted(len(frames), 'frame')} {_have(without)} no pose of the camera: {spans}.{hint}"
-        )
-    strangers = [] if not vehicles else [number for number in vehicles if not _may_have(source, number, numbers)]
+        lines.append(f"{without} of {counted(len(frames), 'frame')} {verb} no pose of the camera: {spans}.{hint}")
+    strangers = sum(not _may_have(source, number, numbers) for number in vehicles or ())
     if strangers and vehicles:
         given, there = f"{min(vehicles)} to {max(vehicles)}", f"{min(numbers)} to {max(numbers)}"
-        what = f"The vehicles of {counted(len(strangers), 'frame')} are left out, which is not there"
-        lines.append(f"{what}: vehicles are given for frames {given}, there are {there}.{_hint(vehicles, numbers)}")
+        what = f"{counted(strangers, 'frame')} that {'is' if strangers == 1 else 'are'} not there"
+        lines.append(
+            f"Vehicles are given for {what}: theirs are {given}, those of the source {there}.{_hint(vehicles, numbers)}"
+        )
     return lines
 
 
@@ -86,7 +88,9 @@ def _may_have(source: FrameSource, number: int, numbers: Sequence[int]) -> bool:
     """Whether a source of which these frames were taken has, or may have, one of this number."""
     if isinstance(source, VideoFrames):
         return number >= 0 and (number < numbers[-1] + source.choice.every or source.choice.end is not None)
-    return number in numbers or (isinstance(source, ImageFrames) and number in source.left_out)
+    place = bisect_left(numbers, number)
+    taken = place < len(numbers) and numbers[place] == number
+    return taken or (isinstance(source, ImageFrames) and number in source.left_out)
 
 
 def _span(frames: Moments, poses: CameraPoses) -> str:
@@ -98,7 +102,3 @@ def _span(frames: Moments, poses: CameraPoses) -> str:
 def _hint(given: Collection[int], numbers: Sequence[int]) -> str:
     counts_from_one = min(given) == numbers[0] + 1 and max(given) == numbers[-1] + 1
     return f" Do they count from {min(given)} instead of {numbers[0]}?" if counts_from_one else ""
-
-
-def _have(count: int) -> str:
-    return "has" if count == 1 else "have"

@@ -95,7 +95,15 @@ class TrackedFrame:
 
 
 class Follower:
-    """Follows the vehicles of one video: called with the records of its frames, in order."""
+    """Follows the vehicles of one video: called with the records of its frames, in order.
+
+    Attributes:
+        tracker: Estimates the vehicles.
+        association: Gives ids to those that come without.
+        camera: The camera.
+        ground: The ground in its frame, or None.
+        poses: The camera's poses, or None.
+    """
 
     def __init__(
         self,

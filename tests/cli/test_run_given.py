@@ -49,7 +49,7 @@ def test_vehicles_counted_from_another_number_are_warned_of(drive, tmp_path):
     tracks = results(tmp_path / "tracks.txt", (4, 5, 6), 0.9)
     done = run(drive[0], "--tracks", tracks, *INTRINSICS, "--fps", 10, "--out", tmp_path / "out")
     assert done.exit_code == 0
-    assert "Warning: The vehicles of 1 frame are left out, which is not there" in done.stderr
+    assert "Warning: Vehicles are given for 1 frame that is not there" in done.stderr
     assert "Do they count from 4 instead of 3?" in done.stderr
 
 
