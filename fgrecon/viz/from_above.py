@@ -114,8 +114,7 @@ def draw_scene_from_above(axes: Any, scene: DrawnScene, extent: NDArray[np.float
         covariance = _covariance(result, pose, level)
         if covariance is not None:
             ring = pose[:3, 3] @ flat.T + scale * ellipse(covariance, _RADIUS)
-            axes.fill(*ring.T, color=unit(style.INK), alpha=0.25, linewidth=0, zorder=6)
-            _path(axes, ring, style.INK, 0.7, "-", closed=True, zorder=7)
+            _draw_region(axes, ring, style.categorical(vehicle.identity) if scene.crowded else None)
         plates.keep_free(np.concatenate([footprint, nose]))
     for vehicle, result, pose in scene.posed:
         corners = _outline(pose, result)[0] @ flat.T
@@ -170,6 +169,14 @@ def _draw_vehicle(
     _path(axes, footprint, colour, 1.1, dashes, closed=True, zorder=5)
     look = {"arrowstyle": "-|>,head_length=0.28,head_width=0.13", "shrinkA": 0, "shrinkB": 0, "linewidth": 0.8}
     axes.annotate("", nose[1], nose[0], arrowprops={**look, "color": unit(colour)}, zorder=6, annotation_clip=True)
+
+
+def _draw_region(axes: Any, ring: NDArray[np.float64], colour: style.Colour | None) -> None:
+    """How far a position is known; with a colour thinly and below the vehicles, where many of them overlap."""
+    many = colour is not None
+    line = style.INK if colour is None else colour
+    axes.fill(*ring.T, color=unit(line), alpha=0.12 if many else 0.25, linewidth=0, zorder=3 if many else 6)
+    _path(axes, ring, line, 0.4 if many else 0.7, "-", closed=True, zorder=3 if many else 7)
 
 
 def _draw_view(axes: Any, scene: DrawnScene, flat: NDArray[np.float64], far: float) -> None:

@@ -30,12 +30,12 @@ __all__ = ["scene_picture"]
 
 _CM = 1 / 2.54  # inches
 _WIDTH, _EDGE, _GAP, _HEADING = 8.0 * _CM, 0.04 * _CM, 0.15 * _CM, 0.32 * _CM
-_TALLEST, _ABOVE, _AXIS_LEFT, _AXIS_BELOW = 7.0 * _CM, 4.3 * _CM, 0.62 * _CM, 0.66 * _CM
-_LOW, _HIGH, _MOST = 3.2 * _CM, 4.4 * _CM, 6.0 * _CM  # of the view from above; with a long table
+_TALLEST, _ABOVE, _AXIS_LEFT, _AXIS_BELOW = 7.0 * _CM, 4.3 * _CM, 0.74 * _CM, 0.68 * _CM
+_LOW, _HIGH, _MOST = 3.2 * _CM, 4.4 * _CM, 7.5 * _CM  # of the view from above; with a long table
 _LINE, _KEY = 0.3 * _CM, 5  # a line of the table; lines of the key below it
 _DPI, _MOST_DPI = 400, 600
 _AHEAD = np.array([5.0, 10.0, 20.0, 40.0, 80.0, 160.0])  # metres, of the ground's lines: evenly spaced they were a band
-_SMALL = 6.0  # points: less wide vehicles have no wireframe, which would be a blot
+_SMALL, _SMALL_OF_MANY = 6.0, 14.0  # points: less wide vehicles have no wireframe, which would be a blot
 _TAGS = ((0.0, 1.0), (0.8, 1.0), (-0.8, 1.0), (1.0, 0.0), (-1.0, 0.0), (0.0, -1.0))
 _HIDDEN = 0.38
 
@@ -106,7 +106,7 @@ def _compose(image: NDArray[np.uint8] | None, scene: DrawnScene, *, beside: bool
     above = place_axes(figure, left + _AXIS_LEFT, bottom + _AXIS_BELOW, width, tall)
     draw_scene_from_above(above, scene, extent, scale)
     aside = place_axes(figure, left + _ABOVE + _GAP, bottom, _WIDTH - _ABOVE - _GAP - _EDGE, height)
-    used = draw_table(aside, page, int(height / _LINE) - _KEY, height / _LINE)
+    used = draw_table(aside, page, round(height / _LINE) - _KEY, height / _LINE)
     draw_key(aside, scene, height / _LINE - used, height / _LINE, scale)
     return figure
 
@@ -135,11 +135,12 @@ def _draw_photograph(axes: Any, image: NDArray[np.uint8] | None, scene: DrawnSce
         rendered = render_models(models, scene.camera, scene.size)
         axes.imshow(rendered, extent=(-0.5, width - 0.5, height - 0.5, -0.5), aspect="auto", zorder=1.5)
     points = axes.get_position().width * axes.figure.get_size_inches()[0] * 72 / width  # in a pixel
+    small = _SMALL_OF_MANY if scene.crowded else _SMALL
     for vehicle, result, pose in sorted(scene.posed, key=lambda item: -float(item[2][2, 3])):
         colour = style.categorical(vehicle.identity)
         if not start:
             _draw_box(axes, vehicle, transform(pose, outline_corners(result.box_size)), scene.camera, depth)
-            if vehicle.model is None and points * float(vehicle.box[2] - vehicle.box[0]) > _SMALL:
+            if vehicle.model is None and points * float(vehicle.box[2] - vehicle.box[0]) > small:
                 lines = pieces_of(transform(pose, result.wireframe)[result.shape.edges])
                 visible, hidden = runs_of(lines, scene.camera, depth)
                 behind = style.FADED if image is None else style.PAPER

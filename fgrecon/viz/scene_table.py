@@ -23,8 +23,6 @@ _SIGMAS = 1.96  # of the same confidence in one dimension
 _MINUS = str.maketrans("-", "−")
 _WORDS = 30  # characters of a model's name
 _WIDE = 100.0  # metres from which on there is no room for a decimal
-_FEW = 6
-"""Of so many vehicles there is room for a second line."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +54,8 @@ class ScenePage:
 
     @property
     def lines(self) -> int:
-        """Lines that it takes."""
-        return 1 + sum(1 + bool(row.detail) for row in self.rows)
+        """Lines that it takes, with the rule below its headings."""
+        return 2 + sum(1 + bool(row.detail) for row in self.rows)
 
 
 def scene_page(scene: DrawnScene) -> ScenePage:
@@ -68,7 +66,7 @@ def scene_page(scene: DrawnScene) -> ScenePage:
     """
     vehicles = scene.vehicles
     ordered = sorted(vehicles, key=lambda v: np.inf if v.pose is None else float(np.linalg.norm(v.pose[:3, 3])))
-    few = len(ordered) <= _FEW
+    few = not scene.crowded
     words = any(vehicle.words for vehicle in vehicles)
     columns: tuple[tuple[str, float], ...] = (("distance [m]", 0.58), ("yaw [°]", 1.0))
     cells = [_values(v) for v in ordered]

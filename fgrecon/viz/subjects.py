@@ -169,6 +169,9 @@ class DrawnVehicle:
         return self.name or str(self.identity)
 
 
+_FEW = 6  # vehicles of a scene that are drawn and listed in full
+
+
 @dataclass(frozen=True)
 class DrawnScene:
     """The vehicles of one image as a picture shows them.
@@ -186,6 +189,11 @@ class DrawnScene:
     size: tuple[float, float]
     ground: Ground | None = None
     starts: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
+
+    @property
+    def crowded(self) -> bool:
+        """Whether there are so many vehicles that each is drawn with less, or the picture were a thicket."""
+        return len(self.vehicles) > _FEW
 
     @cached_property
     def posed(self) -> list[tuple[DrawnVehicle, Reconstruction, NDArray[np.float64]]]:
