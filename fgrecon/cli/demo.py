@@ -12,8 +12,11 @@ from fgrecon.cli.options import JsonOption, Viewer
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Verbosity
 
-__all__ = ["demo_command"]
+__all__ = ["DEMO_SEED", "demo_command"]
 
+DEMO_SEED = 2
+"""Chosen among 0 to 9: all cars of its two scenes end nearer to the truth than they start. Of 210 cars of 70 streets 81 %
+do; the others start near it by chance. Errors of all are within twice what the covariance says."""
 _DPI = 300  # of the street's picture, for a page on a screen
 
 
@@ -23,7 +26,7 @@ def demo_command(
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="For the results; made where it does not exist.")] = Path(
         "demo"
     ),
-    seed: Annotated[int, typer.Option(min=0, help="Of car, pose, keypoints and scenery.")] = 7,
+    seed: Annotated[int, typer.Option(min=0, help="Of car, pose, keypoints and scenery.")] = DEMO_SEED,
     animation: Annotated[Path | None, typer.Option(metavar="FILE", help="Animate the optimisation (gif, mp4).")] = None,
     json_out: JsonOption = None,
 ) -> None:

@@ -17,9 +17,10 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.demo import DemoScene
-from fgrecon.simulation.sample import GROUND, sample_street
+from fgrecon.simulation.sample import GROUND, SampleStreet, sample_street
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.viz import DrawnVehicle, Truth, scene_picture
+from fgrecon.viz.describe import describe_bounds
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "keypoint_file",
     "next_commands",
     "observation_to_dict",
+    "solved_street",
     "stages",
     "street_picture",
     "table",
@@ -110,13 +112,15 @@ def _pose_cells(pose: NDArray[np.float64], size: Iterable[float]) -> tuple[str, 
     return f"{np.degrees(rotation_y(pose)):.1f}", place, extent
 
 
-def in_words(scene: DemoScene, result: Reconstruction) -> tuple[str, str]:
+def in_words(scene: DemoScene, result: Reconstruction) -> tuple[str, ...]:
     """Lines about what was simulated and what became of it."""
     hidden, wrong = int((~scene.truth.visible).sum()), int(scene.truth.outlier.sum())
     count = len(scene.observation.keypoints)
+    bounds = describe_bounds(result)
     return (
         f"A simulated car with {count} keypoints: {hidden} hidden, {wrong} measured in a wrong place.",
         f"{result.status.value}: {result.message}",
+        *([f"Distance and yaw, {bounds}."] if bounds else []),
     )
 
 
@@ -164,6 +168,13 @@ def _pose_to_dict(pose: NDArray[np.float64]) -> dict[str, Any]:
 def street_picture(prior: ShapePrior, seed: int) -> Any:
     """The picture of a simulated street: each car's start and result over the image and from above, with the truth."""
     street = sample_street(prior, seed)
+    return scene_picture(
+        street.image, solved_street(prior, street), street.camera, ground=GROUND, before=True, beside=True
+    )
+
+
+def solved_street(prior: ShapePrior, street: SampleStreet) -> list[DrawnVehicle]:
+    """The cars of a street, reconstructed, with the truth."""
     shown = []
     for number, car in enumerate(street.cars, start=1):
         seen, vehicle = car.observation, car.truth.vehicle
@@ -172,7 +183,7 @@ def street_picture(prior: ShapePrior, seed: int) -> Any:
             seen.keypoints, street.camera, confidence=seen.confidence, box=seen.box, prior=prior, ground=GROUND
         )
         shown.append(DrawnVehicle(number, car.truth.box, result, truth=truth))
-    return scene_picture(street.image, shown, street.camera, ground=GROUND, before=True, beside=True)
+    return shown
 
 
 def keypoint_file(scene: DemoScene, category: Category) -> dict[str, Any]:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
 
 __all__ = ["app"]
 
+_NOTHING = 0.005  # confidence that two decimals show as none
+
 app = new_group("keypoints", "Find keypoints in images.", ("evaluate", "label", "silhouettes", "train"))
 
 
@@ -86,6 +88,11 @@ def _table(names: list[str], found: list[CascadeDetection], keypoints: tuple[str
         sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0)
         for k, keypoint in enumerate(keypoints):
             u, v = seen.keypoints[k]
+            if seen.confidence[k] < _NOTHING:  # where it is guessed to be says nothing
+                table.add_row(
+                    name, keypoint, "", "", "hidden", *(("", f"{detection.visible[k]:.2f}") if verbose else ())
+                )
+                continue
             cells = [f"{u:.1f}", f"{v:.1f}", f"{seen.confidence[k]:.2f}"]
             cells += [f"{sigma[k]:.1f}", f"{detection.visible[k]:.2f}"] if verbose else []
             table.add_row(name, keypoint, *cells)

@@ -37,6 +37,7 @@ from fgrecon.viz import (
     scene_recording_of,
 )
 from fgrecon.viz.delivery import recordings_of
+from fgrecon.viz.subjects import detection_words
 
 __all__ = [
     "FORMAT",
@@ -73,7 +74,7 @@ def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
     if screen.quiet:
         return
     outcomes, others = outcomes[:_ROWS], outcomes[_ROWS:]
-    wide = screen.console.width >= _WIDE and any(map(_clause, outcomes))
+    wide = screen.console.is_terminal and screen.console.width >= _WIDE and any(map(_clause, outcomes))
     table = compact_table(*_HEADINGS, text=("id", "status"), no_wrap=True, overflow="fold")
     if wide:
         table.add_column("message", overflow="fold")
@@ -259,9 +260,21 @@ def _shown(outcomes: Sequence[Outcome]) -> list[DrawnVehicle]:
         words = "" if short else name if len(name) <= _WORDS else f"{name[: _WORDS - 1]}…"
         model = None if outcome.closest is None else outcome.closest.model
         shown.append(
-            DrawnVehicle(number, box, outcome.result, words, name=name if short else str(number + 1), model=model)
+            DrawnVehicle(
+                number,
+                box,
+                outcome.result,
+                words,
+                name=name if short else str(number + 1),
+                model=model,
+                detection=_detection(outcome),
+            )
         )
     return shown
+
+
+def _detection(outcome: Outcome) -> str:
+    return detection_words(outcome.task.instance.kind, outcome.task.instance.score)
 
 
 def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Path]:
@@ -314,6 +327,7 @@ def _sights(outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> lis
             image,
             title=printable(outcome.name, 80),
             model=None if outcome.closest is None else outcome.closest.model,
+            detection=_detection(outcome),
         )
         for outcome in outcomes
         if outcome.result is not None

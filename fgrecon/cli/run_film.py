@@ -21,6 +21,7 @@ from fgrecon.viz import DrawnVehicle, save_picture, scene_picture
 from fgrecon.viz.entities import SIZES
 from fgrecon.viz.overlay import annotated
 from fgrecon.viz.scene_recording import state_in_words
+from fgrecon.viz.subjects import detection_words
 from fgrecon.viz.video_recording import RecordedFrame
 
 __all__ = ["Showing", "film", "recorded", "still"]
@@ -48,11 +49,13 @@ class Showing:
         shown = []
         for identity, box in frame.boxes.items():
             estimate = frame.estimates.get(identity)
+            detection = detection_words(frame.kinds.get(identity), frame.scores.get(identity))
             if estimate is None:
-                shown.append(DrawnVehicle(identity, box))
+                shown.append(DrawnVehicle(identity, box, detection=detection))
                 continue
             trail = None if frame.world_T_camera is None else self._trail(estimate, frame.world_T_camera)
-            shown.append(DrawnVehicle(identity, box, estimate.reconstruction, self._words(estimate), trail))
+            words = self._words(estimate)
+            shown.append(DrawnVehicle(identity, box, estimate.reconstruction, words, trail, detection=detection))
         return tuple(shown)
 
     def _trail(self, estimate: VehicleEstimate, world_T_camera: NDArray[np.float64]) -> NDArray[np.float64] | None:

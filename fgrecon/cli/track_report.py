@@ -171,31 +171,32 @@ def _image(folder: Path, number: int) -> NDArray[np.uint8]:
 
 
 def table(tracks: Sequence[Solved]) -> Table:
-    """One row per track; errors are mean yaw and median position, in brackets those of the images one by one."""
+    """One row per track; errors are mean yaw and median position, with a row below of the images one by one."""
     labelled = any(track.sight.truths is not None for track in tracks)
-    headings = ["track", "images", "refused", "status", "l, w, h m", "ms per image"]
-    headings += ["Δ yaw ° (alone)", "Δ position m (alone)", "Δ size m (alone)"] if labelled else []
+    headings = ["track", "images", "status", "l, w, h m", "ms"]
+    headings += ["Δ yaw °", "Δ pos m", "Δ size m"] if labelled else []
     result = compact_table(*headings, text=("track", "status"), overflow="fold")
     for track in tracks:
         solved = track.result
         cells = [
             track.name,
-            str(len(solved.frames)),
-            str(len(solved.refused)),
+            f"{len(solved.frames)} of {len(solved.frames) + len(solved.refused)}"
+            if solved.refused
+            else str(len(solved.frames)),
             solved.status.value,
             ", ".join(f"{number:.2f}" for number in solved.box_size),
             f"{sum(solved.milliseconds.values()) / len(solved.frames):.1f}",
         ]
-        result.add_row(*cells, *(_error_cells(track) if labelled else []))
+        result.add_row(*cells, *(_error_cells(track.result.frames, track) if labelled else []))
+        if track.sight.truths is not None:
+            result.add_row("  alone", "", "", "", "", *_error_cells(track.alone, track))
     return result
 
 
-def _error_cells(track: Solved) -> list[str]:
+def _error_cells(results: Sequence[Reconstruction | None], track: Solved) -> list[str]:
     if track.sight.truths is None:
         return ["", "", ""]
-    joint = _errors(track.result.frames, track.truths)
-    alone = _errors(track.alone, track.truths)
-    return [f"{a:.2f} ({b:.2f})" if np.isfinite(a) else "" for a, b in zip(joint, alone, strict=True)]
+    return [f"{error:.2f}" if np.isfinite(error) else "" for error in _errors(results, track.truths)]
 
 
 def _errors(results: Sequence[Reconstruction | None], truths: Sequence[Truth | None]) -> tuple[float, float, float]:

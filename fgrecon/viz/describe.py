@@ -8,13 +8,18 @@ from operator import ne
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.geometry import position_covariance
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import TRUSTED, Iteration, Reconstruction
 from fgrecon.core.text import markdown_row
 from fgrecon.core.track_reconstruction import TrackReconstruction
+from fgrecon.viz.subjects import SolvedVehicle
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
 
 __all__ = [
+    "LEVEL",
+    "bounds_of",
+    "describe_bounds",
     "describe_errors",
     "describe_stop",
     "describe_update",
@@ -26,6 +31,9 @@ __all__ = [
     "weight_updates",
 ]
 
+LEVEL = 0.95
+"""Probability with which the true values are within the bounds and regions that are shown."""
+_SIGMAS = 1.96  # standard deviations of that, in one dimension
 _SETTLED = 1e-2  # weights that change by less look settled to a reader
 
 
@@ -85,14 +93,31 @@ def describe_errors(truth: Truth, camera_T_object: NDArray[np.float64], keypoint
     return ", ".join(parts)
 
 
-def summary_table(reconstruction: Reconstruction, observation: Observation, truth: Truth | None) -> str:
+def bounds_of(result: Reconstruction) -> tuple[float, float] | None:
+    """Distance in metres and yaw in degrees are known to within these with the probability `LEVEL`; None: not known."""
+    covariance = result.uncertainty.pose_covariance
+    if covariance is None or not np.isfinite(covariance).all():
+        return None
+    towards = result.location / max(float(np.linalg.norm(result.location)), 1e-9)
+    along = np.sqrt(towards @ position_covariance(result.camera_T_object, covariance) @ towards)
+    return _SIGMAS * float(along), _SIGMAS * float(np.degrees(np.sqrt(covariance[1, 1])))  # yaw about its y axis
+
+
+def describe_bounds(result: Reconstruction) -> str:
+    """The same in words; empty where it is not known."""
+    bounds = bounds_of(result)
+    return "" if bounds is None else f"{100 * LEVEL:.0f} %: ± {bounds[0]:.1f} m, ± {bounds[1]:.0f}°"
+
+
+def summary_table(vehicle: SolvedVehicle) -> str:
     """The result as a Markdown table."""
-    result = reconstruction
+    result, truth = vehicle.reconstruction, vehicle.truth
     length, width, height = result.box_size
     x, y, z = result.location
-    residual = median_residual(observation, result.pose.wireframe_uv, result.diagnostics.weights)
+    residual = median_residual(vehicle.observation, result.pose.wireframe_uv, result.diagnostics.weights)
     rows = [
         ("Status", f"**{result.status.value}**: {result.message}"),
+        *([("Detection", vehicle.detection)] if vehicle.detection else []),
         ("Prior", f"{result.shape.prior} ({result.shape.category})"),
         ("Yaw (rotation_y)", f"{np.degrees(result.rotation_y):.1f}°"),
         ("Position in the camera frame", f"{x:.2f}, {y:.2f}, {z:.2f} m"),
@@ -110,11 +135,12 @@ def summary_table(reconstruction: Reconstruction, observation: Observation, trut
     return "".join(["| | |\n|---|---|\n", *map(markdown_row, rows)])
 
 
-def scene_table(vehicles: Sequence[tuple[str, Reconstruction]]) -> str:
+def scene_table(vehicles: Sequence[tuple[str, SolvedVehicle]]) -> str:
     """The results of a scene, by title, as a Markdown table."""
-    rows = []
-    for title, result in vehicles:
-        cells = [title, result.status.value]
+    rows, detected = [], any(vehicle.detection for _, vehicle in vehicles)
+    for title, vehicle in vehicles:
+        result = vehicle.reconstruction
+        cells = [title, *([vehicle.detection] if detected else []), result.status.value]
         if np.isfinite(result.camera_T_object).all():
             cells += [
                 ", ".join(f"{metres:.2f}" for metres in result.location),
@@ -122,8 +148,8 @@ def scene_table(vehicles: Sequence[tuple[str, Reconstruction]]) -> str:
                 ", ".join(f"{metres:.2f}" for metres in result.box_size),
             ]
         rows.append(markdown_row(cells))
-    heading = "| | status | x, y, z [m] | yaw [°] | l, w, h [m] |\n|---|---|---|---|---|\n"
-    return heading + "".join(rows)
+    heading = ("", *(["detection"] if detected else []), "status", "x, y, z [m]", "yaw [°]", "l, w, h [m]")
+    return markdown_row(heading) + f"|{'---|' * len(heading)}\n" + "".join(rows)
 
 
 def track_table(track: TrackReconstruction, errors: Sequence[Mapping[str, float]]) -> str:

@@ -20,7 +20,6 @@ from fgrecon.viz.subjects import DrawnScene, DrawnVehicle
 from fgrecon.viz.tags import Plates
 
 __all__ = [
-    "CONFIDENCE",
     "DASHES",
     "FONT",
     "START_DASHES",
@@ -32,9 +31,7 @@ __all__ = [
 
 FONT = 6.0
 """Size of a scene picture's type, points."""
-CONFIDENCE = 0.95
-"""Of the ellipses around positions."""
-_RADIUS = 2.4477  # standard deviations of that, in two dimensions
+_RADIUS = 2.4477  # standard deviations that hold a position with `describe.LEVEL`, in two dimensions
 _SIDES = ((1, 0), (-1, 0), (0.8, 0.8), (-0.8, 0.8), (0.8, -0.8), (-0.8, -0.8), (0, 1), (0, -1))
 _VISIBLE = 0.9  # millimetres that the middle one of the ellipses is to be long, from its centre
 _SCALES = (1.0, 2.0, 5.0, 10.0, 20.0)

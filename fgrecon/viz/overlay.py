@@ -88,7 +88,7 @@ def _write_names(canvas: NDArray[np.uint8], vehicles: Sequence[DrawnVehicle], ta
     plates = []
     for vehicle in vehicles:
         x1, y1 = (max(round(float(edge)), 0) for edge in vehicle.box[:2])
-        for text in dict.fromkeys((f"{vehicle.label} {vehicle.words}".strip(), vehicle.label)):
+        for text in dict.fromkeys((f"{vehicle.label} {vehicle.all_words}".strip(), vehicle.label)):
             wide, high = _plate_size(text)
             left = min(x1, max(canvas.shape[1] - wide, 0))
             tops = [max(y1 - high * step, 0) for step in range(1, _HIGHEST)]

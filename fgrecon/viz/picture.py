@@ -20,7 +20,7 @@ from fgrecon.core.reconstruction import Iteration, Status
 from fgrecon.core.text import whole_text
 from fgrecon.io.files import check_ending, write_bytes
 from fgrecon.viz import style
-from fgrecon.viz.describe import describe_errors, median_residual
+from fgrecon.viz.describe import describe_bounds, describe_errors, median_residual
 from fgrecon.viz.geometry import Box, crop_around, image_points
 from fgrecon.viz.marks import draw_badge, draw_box, draw_crop, draw_edges, draw_keypoints, draw_true_box, unit
 from fgrecon.viz.solid import draw_from_above, draw_three_quarter
@@ -243,6 +243,8 @@ def _title(axes: Any, title: str, numbers: str) -> None:
 def _heading(vehicle: SolvedVehicle) -> str:
     status = vehicle.reconstruction.status
     parts = [whole_text(vehicle.title)] if vehicle.title else []  # a file's name need not be UTF-8
+    if vehicle.detection:
+        parts.append(vehicle.detection)
     if status is not Status.CONVERGED or not parts:
         parts.append(status.value)
     return ", ".join(parts)
@@ -257,6 +259,10 @@ def _caption(vehicle: SolvedVehicle) -> str:
             f" Yaw {np.degrees(result.rotation_y):.1f}°, position ({x:.2f}, {y:.2f}, {z:.2f}) m, "
             f"size {length:.2f} × {width:.2f} × {height:.2f} m. Prior: {result.shape.prior}."
         )
+        if bounds := describe_bounds(result):
+            sentence += f" Distance and yaw, {bounds}."
+        if vehicle.detection:
+            sentence += f" Detected: {vehicle.detection}."
         if vehicle.truth is not None:
             errors = describe_errors(vehicle.truth, result.camera_T_object, result.wireframe)
             sentence += f" Error against the truth: {errors}."

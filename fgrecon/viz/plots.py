@@ -137,7 +137,7 @@ def log_words(play: Playback, rows: Rows | None) -> None:
         at, texts = _lines(rows)
         columns = log_columns([*texts, end], [*[INFO] * len(texts), level])
         play.at_steps(entities.LOG, columns, [*at, len(rows.steps) - 1])
-    log_summary(play.stream, summary_table(result, play.vehicle.observation, play.vehicle.truth))
+    log_summary(play.stream, summary_table(play.vehicle))
 
 
 def log_summary(stream: Outbox, table: str) -> None:

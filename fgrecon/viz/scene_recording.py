@@ -59,7 +59,7 @@ def scene_recording_of(vehicles: Sequence[SolvedVehicle], *, ground: Ground | No
             if member.vehicle.solved:
                 _log_position(play, member)
             _log_states(play, member)
-        log_summary(out, scene_table([(member.title, member.vehicle.reconstruction) for member in members]))
+        log_summary(out, scene_table([(member.title, member.vehicle) for member in members]))
         return out.empty_into
 
     return Recording(make, lambda: scene_blueprint(members))
@@ -76,7 +76,7 @@ def _log_place(out: Outbox, members: Sequence[Member], ground: Ground | None) ->
     log_camera(trunk, photograph)
     log_image(trunk, photograph)
     boxes = [(m, m.vehicle.observation.box) for m in members]
-    shown = [DrawnVehicle(m.number, box, name=m.title) for m, box in boxes if box is not None]
+    shown = [DrawnVehicle(m.number, b, name=m.title, detection=m.vehicle.detection) for m, b in boxes if b is not None]
     if shown:
         out.send_columns(entities.BOXES_2D, [], made_columns(named_boxes(shown)))
     if ground is not None and solved:
@@ -98,7 +98,7 @@ def named_boxes(vehicles: Sequence[DrawnVehicle]) -> Any:
         array=np.array([vehicle.box for vehicle in vehicles]).reshape(-1, 4),
         array_format=rr.Box2DFormat.XYXY,
         colors=[style.readable(style.categorical(vehicle.identity)) for vehicle in vehicles],
-        labels=[f"{vehicle.label} {vehicle.words}".strip() for vehicle in vehicles],
+        labels=[f"{vehicle.label} {vehicle.all_words}".strip() for vehicle in vehicles],
         show_labels=True,
     )
 

@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.geometry import position_covariance
 from fgrecon.core.reconstruction import Status
 from fgrecon.viz import style
-from fgrecon.viz.from_above import CONFIDENCE, DASHES, FONT, START_DASHES, TRUE_DASHES
+from fgrecon.viz.describe import LEVEL, bounds_of, describe_bounds
+from fgrecon.viz.from_above import DASHES, FONT, START_DASHES, TRUE_DASHES
 from fgrecon.viz.marks import unit
 from fgrecon.viz.subjects import DrawnScene, DrawnVehicle
 from fgrecon.viz.truth import ORIENTATION_ERROR, TRANSLATION_ERROR
 
 __all__ = ["Row", "ScenePage", "draw_key", "draw_table", "scene_page"]
 
-_SIGMAS = 1.96  # of the same confidence in one dimension
 _MINUS = str.maketrans("-", "−")
 _WORDS = 30  # characters of a model's name
 _WIDE = 100.0  # metres from which on there is no room for a decimal
@@ -32,12 +31,12 @@ class Row:
     Attributes:
         name: On its plate.
         cells: Its numbers, in columns.
-        detail: A line below, where there is room.
+        details: Lines below, where there is room.
     """
 
     name: str
     cells: tuple[str, ...]
-    detail: str = ""
+    details: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class ScenePage:
     @property
     def lines(self) -> int:
         """Lines that it takes, with the rule below its headings."""
-        return 2 + sum(1 + bool(row.detail) for row in self.rows)
+        return 2 + sum(1 + len(row.details) for row in self.rows)
 
 
 def scene_page(scene: DrawnScene) -> ScenePage:
@@ -67,17 +66,22 @@ def scene_page(scene: DrawnScene) -> ScenePage:
     vehicles = scene.vehicles
     ordered = sorted(vehicles, key=lambda v: np.inf if v.pose is None else float(np.linalg.norm(v.pose[:3, 3])))
     few = not scene.crowded
-    words = any(vehicle.words for vehicle in vehicles)
+    words, detected = any(vehicle.words for vehicle in vehicles), any(vehicle.detection for vehicle in vehicles)
     columns: tuple[tuple[str, float], ...] = (("distance [m]", 0.58), ("yaw [°]", 1.0))
     cells = [_values(v) for v in ordered]
     if any(vehicle.truth is not None for vehicle in vehicles):
         columns = (("position error [m]", 0.6), ("yaw [°]", 1.0))
         cells = [_errors(v, scene.starts.get(v.identity)) for v in ordered]
+    elif not few and detected:
+        columns = (("dist. [m]", 0.5), ("yaw [°]", 0.7), ("detected", 1.0))
+        cells = [
+            (distance, yaw.partition(" ")[0], v.detection) for v, (distance, yaw) in zip(ordered, cells, strict=True)
+        ]
     elif not few and not words:
         columns = (("dist. [m]", 0.48), ("yaw [°]", 0.82), ("l [m]", 1.0))
         lengths = ["" if v.posed is None else f"{v.posed[0].box_size[0]:.1f}" for v in ordered]
         cells = [(*pair, length) for pair, length in zip(cells, lengths, strict=True)]
-    details = [_detail(v) if few else v.words for v in ordered]
+    details = [_details(v) if few else tuple(filter(None, (v.words,))) for v in ordered]
     rows = (Row(v.label, c, d) for v, c, d in zip(ordered, cells, details, strict=True))
     return ScenePage(columns, tuple(rows))
 
@@ -86,21 +90,24 @@ def _values(vehicle: DrawnVehicle) -> tuple[str, ...]:
     """Distance and yaw; where the pose is not known, what became of it."""
     if vehicle.posed is None:
         return ("refused" if vehicle.result is None else vehicle.result.status.value, "")
-    result, pose = vehicle.posed
+    result, _ = vehicle.posed
     distance, yaw = float(np.linalg.norm(result.location)), float(np.degrees(result.rotation_y))
     digits = 1 if distance < _WIDE else 0
-    covariance = result.uncertainty.pose_covariance
-    if covariance is None or not np.isfinite(covariance).all():
+    bounds = bounds_of(result)
+    if bounds is None:
         return (f"{distance:.{digits}f}", f"{yaw:.0f}".translate(_MINUS))
-    towards = result.location / max(distance, 1e-9)
-    along = float(np.sqrt(towards @ position_covariance(pose, covariance) @ towards))
-    turn = float(np.degrees(np.sqrt(covariance[1, 1])))  # about its y axis
-    return (_within(distance, _SIGMAS * along, distance, digits), _within(yaw, _SIGMAS * turn, 180.0, 0))
+    return (_within(distance, bounds[0], distance, digits), _within(yaw, bounds[1], 180.0, 0))
 
 
 def _within(value: float, spread: float, most: float, digits: int) -> str:
     """A value with how well it is known; a word where that is no better than the most that it can be off."""
     return f"{value:.{digits}f} ± {spread:.{digits}f}".translate(_MINUS) if spread < most else "unknown"
+
+
+def _details(vehicle: DrawnVehicle) -> tuple[str, ...]:
+    """Lines below the numbers: what was detected, size and status, and beside errors how far the result is known."""
+    known = "" if vehicle.posed is None or vehicle.truth is None else describe_bounds(vehicle.posed[0])
+    return tuple(filter(None, (vehicle.detection, _detail(vehicle), known)))
 
 
 def _detail(vehicle: DrawnVehicle) -> str:
@@ -141,14 +148,14 @@ def draw_table(axes: Any, page: ScenePage, room: int, lines: float) -> float:
     axes.plot([0.0, 1.0], [1.0, 1.0], color=unit(style.HAIRLINE), linewidth=0.5)
     y, left = 1.1, len(page.rows)
     for row in page.rows:
-        if y + 1 + bool(row.detail) + (left > 1) > room:
+        if y + 1 + len(row.details) + (left > 1) > room:
             break
         axes.text(0.02, y + 0.5, row.name, fontweight="bold", color=unit(style.INK), **look)
         for text, (_, right) in zip(row.cells, page.columns, strict=False):
             axes.text(right, y + 0.5, text, ha="right", color=unit(style.INK), **look)
-        if row.detail:
-            axes.text(1.0, y + 1.42, row.detail, ha="right", color=unit(style.FADED), **look)
-        y, left = y + 1 + bool(row.detail), left - 1
+        for line, text in enumerate(row.details, start=1):
+            axes.text(1.0, y + line + 0.42, text, ha="right", color=unit(style.FADED), **look)
+        y, left = y + 1 + len(row.details), left - 1
     if left:
         axes.text(0.02, y + 0.5, f"and {left} more", color=unit(style.FADED), **look)
         y += 1
@@ -184,4 +191,4 @@ def draw_key(axes: Any, scene: DrawnScene, room: float, lines: float, scale: flo
 
         axes.add_patch(Ellipse((0.09, y + 0.5), 0.13, 0.6, facecolor=(*unit(ink), 0.25), edgecolor=unit(ink), lw=0.7))
         larger = "" if scale == 1.0 else f", {scale:.0f} × as large"
-        axes.text(0.21, y + 0.5, f"{100 * CONFIDENCE:.0f} % of position{larger}", fontsize=FONT, va="center")
+        axes.text(0.21, y + 0.5, f"{100 * LEVEL:.0f} % of position{larger}", fontsize=FONT, va="center")

@@ -21,7 +21,17 @@ from fgrecon.viz import entities
 from fgrecon.viz.geometry import as_image
 from fgrecon.viz.truth import Truth
 
-__all__ = ["DrawnScene", "DrawnVehicle", "Member", "Photograph", "SolvedVehicle", "TrackInputs", "jpeg", "members_of"]
+__all__ = [
+    "DrawnScene",
+    "DrawnVehicle",
+    "Member",
+    "Photograph",
+    "SolvedVehicle",
+    "TrackInputs",
+    "detection_words",
+    "jpeg",
+    "members_of",
+]
 
 _JPEG_QUALITY = 92
 
@@ -49,6 +59,11 @@ class Photograph:
         return list(rr.EncodedImage.columns(blob=[jpeg(self.pixels, _JPEG_QUALITY)]))
 
 
+def detection_words(kind: str | None, score: float | None) -> str:
+    """Class and score of a detection as pictures and recordings show them, such as `Van 0.87`; empty without both."""
+    return " ".join([*([] if kind is None else [kind]), *([] if score is None else [f"{score:.2f}"])])
+
+
 def jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
     """A file of an image (H, W, 3) of RGB bytes."""
     import cv2
@@ -68,6 +83,7 @@ class SolvedVehicle:
         truth: What is known to be true, drawn beside the estimate and given as errors; or None.
         title: What it is called; empty for nothing.
         model: The car model that it comes nearest to, or None.
+        detection: Class and score of its detection, see `detection_words`; empty where they are not known.
     """
 
     reconstruction: Reconstruction
@@ -77,6 +93,7 @@ class SolvedVehicle:
     truth: Truth | None = None
     title: str = ""
     model: VehicleMesh | None = None
+    detection: str = ""
 
     @property
     def photograph(self) -> Photograph | None:
@@ -139,6 +156,7 @@ class DrawnVehicle:
         name: What it is called where its id is not its name.
         truth: What is known to be true.
         model: The car model that it comes nearest to.
+        detection: Class and score of its detection, see `detection_words`; empty where they are not known.
     """
 
     identity: int
@@ -149,6 +167,7 @@ class DrawnVehicle:
     name: str = ""
     truth: Truth | None = None
     model: VehicleMesh | None = None
+    detection: str = ""
 
     @property
     def pose(self) -> NDArray[np.float64] | None:
@@ -162,6 +181,11 @@ class DrawnVehicle:
     def posed(self) -> tuple[Reconstruction, NDArray[np.float64]] | None:
         """Result and pose, or None where there is no pose."""
         return None if self.result is None or (pose := self.pose) is None else (self.result, pose)
+
+    @property
+    def all_words(self) -> str:
+        """Class and score of its detection and its words."""
+        return ", ".join(filter(None, (self.detection, self.words)))
 
     @property
     def label(self) -> str:

@@ -137,6 +137,15 @@ class _FrameLog:
         circle = np.stack([np.cos(turns), np.zeros_like(turns), np.sin(turns)], axis=1)
         circles = [_RING * (number + 1) * circle for number in range(_RINGS)]
         stream.log(entities.RINGS, rr.LineStrips3D(circles, colors=style.GROUND, radii=-0.5), static=True)
+        distances = [_RING * (number + 1) for number in range(_RINGS)]
+        marks = rr.Points3D(
+            [(0.0, 0.0, distance) for distance in distances],
+            colors=style.GROUND,
+            radii=-1.0,
+            labels=[f"{distance:.0f} m" for distance in distances],
+            show_labels=True,
+        )
+        stream.log(f"{entities.RINGS}/distances", marks, static=True)
 
     def add(self, frame: RecordedFrame) -> None:
         """Log one frame; what was observed before and is not now is cleared."""

@@ -7,8 +7,13 @@ import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
+from fgrecon.cli.demo import DEMO_SEED
+from fgrecon.cli.demo_report import solved_street
 from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
+from fgrecon.simulation.sample import sample_street
+from fgrecon.viz.describe import bounds_of
 from fgrecon.viz.replay import read as replay
 
 
@@ -37,6 +42,23 @@ def test_the_result_is_close_to_the_truth(demo):
     assert stages[-1]["errors"]["orientation_deg"] < 5.0
     assert stages[-1]["errors"]["keypoints_m"] < 0.2
     assert document["truth"]["visible"].count(False) >= 4
+
+
+def test_the_cars_of_the_street_get_nearer_to_the_truth():
+    """In the scene that is drawn where no seed is given, and within how far they are said to be known."""
+    prior = load_prior("car14")
+    cars = solved_street(prior, sample_street(prior, DEMO_SEED))
+    assert len(cars) == 3
+    for car in cars:
+        assert car.result.status is Status.CONVERGED
+        first, last = (car.result.diagnostics.history[i] for i in (0, -1))
+        start, end = (car.truth.errors(step.camera_T_object, step.keypoints) for step in (first, last))
+        assert end["translation_m"] < min(start["translation_m"], bounds_of(car.result)[0])
+        assert end["orientation_deg"] < start["orientation_deg"]
+
+
+def test_it_says_how_far_the_result_is_known(demo):
+    assert any(line.startswith("Distance and yaw, 95 %: ± ") for line in demo[1].stderr.splitlines())
 
 
 def test_the_table_shows_truth_and_every_stage(demo):

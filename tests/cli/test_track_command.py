@@ -128,7 +128,9 @@ def test_labels_give_errors_beside_those_of_the_images_alone(write, drive):
     assert done.exit_code == 0, done.output
     (row,) = (line for line in done.stdout.splitlines() if line.startswith("drive ") and "(" in line)
     assert float(row.split()[-6]) < 2.0  # yaw
-    assert "Δ yaw ° (alone)" in done.stdout
+    assert "Δ yaw °" in done.stdout
+    assert "\n  alone " in done.stdout
+    assert max(map(len, done.stdout.split("\nTRACK:")[0].splitlines())) <= 80
 
 
 def test_bad_names_and_files_are_refused_before_the_work(write, drive, tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Status
 from fgrecon.viz import DrawnVehicle, style
-from fgrecon.viz.overlay import annotated
+from fgrecon.viz.overlay import _write_names, annotated
 from tests.results import changed
 
 
@@ -83,3 +83,40 @@ def test_a_box_without_a_result_is_a_box(example):
     assert (drawn[300:, :1242] == 128).all()
     with pytest.raises(InvalidInputError, match="image"):
         annotated(blank[..., 0], [], example.camera)
+
+
+def test_names_of_many_vehicles_do_not_overlap(example):
+    """All ids can be read; what does not find room are words."""
+    vehicles = [
+        DrawnVehicle(n, np.array([600.0 + 4 * n, 160.0, 640.0 + 4 * n, 200.0]), words="12 m, 30 km/h")
+        for n in range(12)
+    ]
+    taken = []
+    _write_names(np.full((375, 1242, 3), 128, np.uint8), vehicles, taken)
+    assert len(taken) == 12
+    for index, (left, top, right, bottom) in enumerate(taken):
+        assert left >= 0
+        assert top >= 0
+        assert not any(left < r and l < right and top < b and t < bottom for l, t, r, b in taken[:index])  # noqa: E741
+
+
+def test_a_name_has_class_and_score_of_the_detection(example):
+    blank = np.full((375, 1242, 3), 128, np.uint8)
+    box, pictures = np.array([100.0, 100, 200, 180]), []
+    for shown_as in ({"detection": "Van 0.87", "words": "9 m"}, {"words": "Van 0.87, 9 m"}, {"words": "9 m"}):
+        pictures.append(annotated(blank, [DrawnVehicle(3, box, **shown_as)], example.camera))
+    np.testing.assert_array_equal(pictures[0], pictures[1])
+    assert not np.array_equal(pictures[0], pictures[2])
+
+
+def test_rings_have_their_distances(example):
+    """Each at its ring: the panel differs there from lines alone."""
+    panel = annotated(np.full((375, 1242, 3), 128, np.uint8), [], example.camera)[:, 1242:]
+    bright = near(panel, style.HAIRLINE)
+    scale = 375 / 53
+    for ring in (10.0, 20.0, 30.0, 40.0, 50.0):
+        u, v = (
+            panel.shape[1] / 2 + ring * np.sin(np.radians(28)) * scale,
+            375 - (ring * np.cos(np.radians(28)) + 3) * scale,
+        )
+        assert bright[max(round(v) - 6, 0) : round(v) + 7, round(u) - 15 : round(u) + 16].sum() > 20

@@ -12,6 +12,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import position_covariance
 from fgrecon.core.reconstruction import Status
 from fgrecon.viz import DrawnVehicle, as_rgb, save_picture, scene_picture, style
+from fgrecon.viz.describe import describe_bounds
 from fgrecon.viz.from_above import DASHES, ellipse_scale
 from fgrecon.viz.geometry import ellipse, level_axes
 from fgrecon.viz.picture import new_figure, place_axes
@@ -133,11 +134,57 @@ def test_the_table_tells_what_is_known(example, seen):
     towards = first.location / distance
     sigma = np.sqrt(towards @ position_covariance(first.camera_T_object, first.uncertainty.pose_covariance) @ towards)
     assert page.rows[0].cells[0] == f"{distance:.1f} ± {1.96 * sigma:.1f}"
-    assert page.rows[0].detail.endswith("converged")
+    assert page.rows[0].details[-1].endswith("converged")
     many = [replace(vehicles[0], identity=number) for number in range(7)]
     assert [name for name, _ in scene_page(scene_of(many)).columns][-1] == "l [m]"
     spoken = scene_page(scene_of([replace(v, words="30 km/h") for v in vehicles]))
-    assert all("30 km/h" in row.detail for row in spoken.rows)
+    assert all("30 km/h" in row.details[-1] for row in spoken.rows)
+
+
+def test_class_and_score_of_a_detection_are_in_the_table(example, seen):
+    vehicles = [replace(v, detection="Van 0.87") for v in shown_of(example, seen)]
+    assert all(row.details[0] == "Van 0.87" for row in scene_page(scene_of(vehicles)).rows)
+    many = [replace(vehicles[0], identity=number) for number in range(15)]
+    assert all(row.cells[-1] == "Van 0.87" and not row.details for row in scene_page(scene_of(many)).rows)
+
+
+def test_beside_errors_it_says_how_far_the_result_is_known(example, seen):
+    """So that a result that is off by metres is not taken for a sure one."""
+    for vehicle, row in zip(
+        shown_of(example, seen, truth=True), scene_page(scene_of(shown_of(example, seen, truth=True))).rows, strict=True
+    ):
+        assert row.details[-1] == describe_bounds(vehicle.result)
+    assert row.details[-1].startswith("95 %: ± ")
+
+
+@pytest.mark.parametrize("count", [3, 15])
+def test_axis_labels_are_within_the_picture_and_all_vehicles_in_the_table(example, seen, count):
+    vehicles = [replace(shown_of(example, seen)[0], identity=number) for number in range(count)]
+    figure = draw(seen, vehicles)
+    figure.canvas.draw()
+    above = figure.axes[1]
+    for label in (above.xaxis.label, above.yaxis.label, *above.get_xticklabels(), *above.get_yticklabels()):
+        place = label.get_window_extent()
+        assert place.x0 >= figure.bbox.x0 + 1
+        assert place.y0 >= figure.bbox.y0 + 1
+    assert not any("more" in text for text in texts(figure.axes[2]))
+
+
+def test_regions_of_many_vehicles_are_thin_and_in_their_colours(example, seen):
+    first = shown_of(example, seen)[0]
+    widths = {}
+    for count in (3, 15):
+        rings = [
+            line
+            for line in draw(seen, [replace(first, identity=number) for number in range(count)]).axes[1].lines
+            if len(line.get_xdata()) > 20
+        ]
+        assert len(rings) == count
+        widths[count] = rings[0].get_linewidth()
+        assert len({tuple(ring.get_color()) for ring in rings}) == (
+            1 if count == 3 else len({tuple(style.categorical(n)) for n in range(15)})
+        )
+    assert widths[15] < widths[3]
 
 
 def test_what_is_not_known_is_a_word(example, seen):

@@ -162,6 +162,13 @@ def test_ten_vehicles_take_less_than_five_megabytes(sights, example, tmp_path) -
 
 
 def test_the_table_has_a_row_for_each(example) -> None:
-    table = scene_table([("a|b", example.reconstruction), ("c", failed(example))])
+    def of(result, detection=""):
+        return SolvedVehicle(result, example.observation, example.camera, detection=detection)
+
+    detected = scene_table([("a", of(example.reconstruction, "Van 0.87")), ("b", of(example.reconstruction))])
+    assert detected.startswith("|  | detection | status |")
+    assert detected.splitlines()[2].startswith("| a | Van 0.87 | converged | 2.50, 1.65, 9.00 |")
+    assert detected.splitlines()[3].startswith("| b |  | converged |")
+    table = scene_table([("a|b", of(example.reconstruction)), ("c", of(failed(example)))])
     assert table.splitlines()[2].startswith(r"| a\|b | converged | 2.50, 1.65, 9.00 |")
     assert table.splitlines()[3] == "| c | failed |"
