@@ -15,8 +15,9 @@ from fgrecon.cli.terminal import Verbosity
 __all__ = ["DEMO_SEED", "demo_command"]
 
 DEMO_SEED = 2
-"""Chosen among 0 to 9: all cars of its two scenes end nearer to the truth than they start. Of 210 cars of 70 streets 81 %
-do; the others start near it by chance. Errors of all are within twice what the covariance says."""
+"""Chosen among 0 to 9: all cars of its two scenes end nearer to the truth than they start. Of 210 cars of 70 streets
+81 % do; the others start near it by chance. All errors of distance are within two standard deviations."""
+
 _DPI = 300  # of the street's picture, for a page on a screen
 
 

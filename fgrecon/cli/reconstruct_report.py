@@ -74,7 +74,7 @@ def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
     if screen.quiet:
         return
     outcomes, others = outcomes[:_ROWS], outcomes[_ROWS:]
-    wide = screen.console.is_terminal and screen.console.width >= _WIDE and any(map(_clause, outcomes))
+    wide = screen.console.width >= _WIDE and any(map(_clause, outcomes))
     table = compact_table(*_HEADINGS, text=("id", "status"), no_wrap=True, overflow="fold")
     if wide:
         table.add_column("message", overflow="fold")

@@ -64,8 +64,9 @@ def scene_blueprint(members: Sequence[Member]) -> Any:
         rrb.TextLogView(name="Log", origin="/", contents=logs, columns=columns),
     )
     marks = [member.place(part) for member in members for part in _IMAGE_MARKS]  # which would hide small vehicles
+    title = f"{'No image' if members[0].vehicle.image is None else 'Image'}: projected wireframes"
     return _page(
-        [_image_view(None, "Image: projected wireframes", [_ALL, *_without(marks)]), *_scene_views(members)],
+        [_image_view(None, title, [_ALL, *_without(marks)]), *_scene_views(members)],
         [rrb.Tabs(*map(_details, members)), _state_view("Stage, then status, and side"), words],
         name="All vehicles of an image",
         timeline=entities.STEP,

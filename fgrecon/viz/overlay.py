@@ -30,7 +30,7 @@ _NOSE = 1.5  # metres that a line goes beyond a vehicle's front
 _CASED = 60.0  # pixels of a box's width from which its wireframe has a casing
 _RING_TEXT = np.radians(28.0)  # right of ahead, where the rings' distances are written
 _FACE_SIZE = 0.4  # of the type, relative to OpenCV's
-_HIGHEST = 10  # plates, one above another, that are tried above a box
+_HIGHEST = 16  # plates, one above another, that are tried above a box
 
 
 def annotated(

@@ -102,9 +102,11 @@ def test_names_of_many_vehicles_do_not_overlap(example):
 
 def test_a_name_has_class_and_score_of_the_detection(example):
     blank = np.full((375, 1242, 3), 128, np.uint8)
-    box, pictures = np.array([100.0, 100, 200, 180]), []
-    for shown_as in ({"detection": "Van 0.87", "words": "9 m"}, {"words": "Van 0.87, 9 m"}, {"words": "9 m"}):
-        pictures.append(annotated(blank, [DrawnVehicle(3, box, **shown_as)], example.camera))
+    box = np.array([100.0, 100, 200, 180])
+    pictures = [
+        annotated(blank, [DrawnVehicle(3, box, **shown_as)], example.camera)
+        for shown_as in ({"detection": "Van 0.87", "words": "9 m"}, {"words": "Van 0.87, 9 m"}, {"words": "9 m"})
+    ]
     np.testing.assert_array_equal(pictures[0], pictures[1])
     assert not np.array_equal(pictures[0], pictures[2])
 
