@@ -130,7 +130,7 @@ def test_labels_give_errors_beside_those_of_the_images_alone(write, drive):
     assert float(row.split()[-3]) < 2.0  # yaw
     assert "Δ yaw °" in done.stdout
     assert "\n  alone " in done.stdout
-    assert max(map(len, done.stdout.split("\nTRACK:")[0].splitlines())) <= 80
+    assert max(map(len, done.stdout.split("\ndrive: ")[0].splitlines())) <= 80
 
 
 def test_bad_names_and_files_are_refused_before_the_work(write, drive, tmp_path, monkeypatch):
