@@ -353,7 +353,7 @@ def track_video(
 
 def _keypoint_warnings(job: VideoJob, run: VideoRun) -> list[str]:
     """What to warn of keypoints that were given."""
-    if job.given is None or job.given.cuboids:  # boxes alone, in which the network has detected them
+    if job.given is None or not job.given.complete:  # boxes alone, in which the network has detected them
         return []
     doubts = InputWarnings()
     for frame in run.frames:

@@ -1,5 +1,6 @@
 """`fgrecon run --tracks`: boxes of any score, frames that are not the video's, and pictures of nothing."""
 
+import csv
 import json
 
 import pytest
@@ -77,3 +78,20 @@ def test_a_frame_without_a_vehicle_is_not_drawn(drive, tmp_path):
     done = run(*asked, "--picture", tmp_path / "a.png", "--json", tmp_path / "a.json")
     assert (done.exit_code, json.loads((tmp_path / "a.json").read_text())["estimates"] > 0) == (1, True)
     assert "a.png is not written: there is no vehicle in frame 4" in done.stderr
+
+
+def test_mots_boxes_are_tracked(drive, tmp_path):
+    """Their class is a car's; ids, scores and boxes are in all tables, and no keypoints are blamed."""
+    tracks = tmp_path / "mot.txt"
+    tracks.write_text("".join(f"{number},7,500,180,120,70,0.8,-1,-1,-1\n" for number in (3, 4, 5)))
+    done = run(drive[0], "--tracks", tracks, *INTRINSICS, "--fps", 10, "--out", out := tmp_path / "out")
+    assert (done.exit_code, "Warning" in done.stderr) == (0, False), done.output
+    words = [line.split() for line in (out / "tracks.txt").read_text().splitlines()]
+    assert [(w[0], w[1], w[2], w[6:10], w[-1]) for w in words] == [
+        (str(number), "7", "Car", ["500.00", "180.00", "620.00", "250.00"], "0.8000") for number in (3, 4, 5)
+    ]
+    for line in (out / "frames.jsonl").read_text().splitlines():
+        (vehicle,) = json.loads(line)["vehicles"]
+        assert (vehicle["id"], vehicle["kind"], vehicle["score"]) == (7, "Car", 0.8)
+    rows = list(csv.DictReader((out / "tracks.csv").read_text().splitlines()))
+    assert [(row["id"], row["kind"], row["score"]) for row in rows] == [("7", "Car", "0.8")] * 3
