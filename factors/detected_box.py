@@ -4,7 +4,7 @@
     r = yaw - yaw0, modulo half a turn                  the yaw, 1 row: radians
 
 Detectors know far better in which direction a vehicle is than how far it is, and err in the distance by a share of it:
-in these coordinates their errors are of one size near and far. Some boxes are turned round, so that the yaw has two
+in these coordinates their errors are of one size near and far. Some boxes are flipped, so that the yaw has two
 modes of one width. Which of them is meant is decided by all that is known of the facing, not by a solver's steps, and
 this factor has the same energy at both.
 """

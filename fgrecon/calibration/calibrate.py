@@ -63,10 +63,10 @@ def calibrate_detector(
     """
     drives = [read_images(folder.absolute()) for folder in request.folders]
     check_labels(drives)
-    doubts: list[str] = []
+    kept: list[str] = []
 
-    def doubt(line: str) -> None:
-        doubts.append(line)
+    def warn_and_keep(line: str) -> None:
+        kept.append(line)
         warn(line)
 
     def score(factor: float) -> ScoredDrives:
@@ -74,7 +74,7 @@ def calibrate_detector(
         scored(factor, done)
         return done
 
-    fits_boxes = request.detect and _has_whole_cars(drives, doubt)
+    fits_boxes = request.detect and _has_whole_cars(drives, warn_and_keep)
     done = score(FACTORS[0])
     provenance: dict[str, Any] = {
         "drives": [drive.name for drive in drives],
@@ -83,7 +83,7 @@ def calibrate_detector(
         "size_prior": size_prior,
         "boxes": request.boxes,
     }
-    source = _fit_boxes(drives, done, provenance, doubt) if fits_boxes else None
+    source = _fit_boxes(drives, done, provenance, warn_and_keep) if fits_boxes else None
     calibration, fitted = DetectorCalibration(provenance=provenance), None
     try:
         check_solved(done.boxes)
@@ -92,32 +92,32 @@ def calibrate_detector(
     except InvalidInputError as error:
         if source is None:
             raise
-        doubt(_left_out(_NUMBERS, error))
-    for line in () if fitted is None else fitted.doubts:
-        doubt(line)
-    whole = {**calibration.provenance, "doubts": doubts}
+        warn_and_keep(_left_out(_NUMBERS, error))
+    for line in () if fitted is None else fitted.warnings:
+        warn_and_keep(line)
+    whole = {**calibration.provenance, "doubts": kept}
     return CalibratedDetector(replace(calibration, boxes=source, provenance=whole), done, fitted)
 
 
-def _has_whole_cars(drives: list[Drive], doubt: Callable[[str], None]) -> bool:
+def _has_whole_cars(drives: list[Drive], warn_and_keep: Callable[[str], None]) -> bool:
     """Whether there are enough cars that are visible as a whole to fit boxes by."""
     try:
         check_whole_cars(drives)
     except InvalidInputError as error:
-        doubt(_left_out(_EDGES, error))
+        warn_and_keep(_left_out(_EDGES, error))
         return False
     return True
 
 
 def _fit_boxes(
-    drives: list[Drive], done: ScoredDrives, provenance: dict[str, Any], doubt: Callable[[str], None]
+    drives: list[Drive], done: ScoredDrives, provenance: dict[str, Any], warn_and_keep: Callable[[str], None]
 ) -> BoxSource | None:
     """Where the edges of detected boxes are (their count goes to the provenance); None where they are too few."""
     outlines = list(seen_boxes(drives, done.frames, done.request.given.scene.prior))
     try:
         source = fit_boxes(outlines)
     except InvalidInputError as error:
-        doubt(_left_out(_EDGES, error))
+        warn_and_keep(_left_out(_EDGES, error))
         return None
     provenance["outlines"] = len(outlines)
     return source

@@ -28,7 +28,7 @@ FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """The common factors that vehicles are reconstructed with; what is fitted lies between them."""
 
 _FEWEST = 30  # vehicles that regions are judged by
-_FEWEST_TURNED = 5  # flipped, without which nothing tells what a direction counts
+_FEWEST_FLIPPED = 5  # flipped, without which nothing says what a direction counts
 _QUANTITIES = "position", "yaw"
 _FACING_BOUNDS = {"facing_bias": (-10.0, 10.0), "facing_slope": (0.0, 10.0)}
 _SHORT = 0.1  # regions hold so much less than they claim at most; those of the shipped networks are short by 0.09
@@ -50,16 +50,16 @@ class FittedDetector:
         inside: Share of the errors of position and yaw within their regions, by level (`SIGMAS`): fitted without the
             drive. NaN with a single drive.
         facing_error: Expected calibration error of the facing, likewise.
-        doubts: Sentences that say what could not be fitted, lies at an end of what was tried, or does not hold, or is
+        warnings: Sentences that say what could not be fitted, lies at an end of what was tried, or does not hold, or is
             not known to hold, on drives that were left out; in the calibration's provenance as well.
-        turned: Number of vehicles whose heading is flipped; too few leave the facing's numbers at the default ones.
+        flipped: Number of vehicles whose heading is flipped; too few leave the facing's numbers at the default ones.
     """
 
     calibration: DetectorCalibration
     inside: Mapping[str, Mapping[float, float]]
     facing_error: float
-    doubts: tuple[str, ...]
-    turned: int
+    warnings: tuple[str, ...]
+    flipped: int
 
 
 def check_labels(drives: Sequence[Drive]) -> None:
@@ -91,7 +91,7 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
 
     Args:
         scored: The same boxes reconstructed with each of `FACTORS`, and with directions as they are (`as_said`).
-        provenance: What is told of the data; plain values.
+        provenance: What is known of the data; plain values.
 
     Raises:
         InvalidInputError: Too few vehicles were reconstructed.
@@ -104,7 +104,7 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
     if not curves_of_all:
         fix = "Give drives whose vehicles are seldom flipped: those are not judged."
         raise InvalidInputError("drives", f"{len(solved)} vehicles without regions", fix)
-    factor, facing, turned = _factor(curves_of_all), _facing(boxes), sum(_is_turned(box) for box in boxes)
+    factor, facing, flipped = _factor(curves_of_all), _facing(boxes), sum(_is_flipped(box) for box in boxes)
     inside: dict[str, dict[float, float]] = {name: dict.fromkeys(SIGMAS, float("nan")) for name in _QUANTITIES}
     said: list[float] = []
     right: list[bool] = []
@@ -114,7 +114,7 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
             others = {f: [box for box in some if box.drive != drive] for f, some in scored.items()}
             own = {f: [box for box in some if box.drive == drive] for f, some in scored.items()}
             curves, without = _curves(own), _curves(others)
-            if curves and without:  # of a drive that alone has vehicles, or has none, nothing is told
+            if curves and without:  # of a drive that alone has vehicles, or has none, nothing is known
                 count = sum(bool(box.outcomes[SYSTEM].squared) for box in own[FACTORS[0]])
                 parts.append((count, curves, _factor(without)))
             probability, hit = _chosen(own[FACTORS[0]])
@@ -126,10 +126,10 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
                 if held:
                     inside[name][level] = float(np.average([share for _, share in held], weights=[n for n, _ in held]))
     error = reliability(said, right).error if said else float("nan")
-    doubts = (*_end_of_factors(factor, curves_of_all), *_facing_doubts(facing, turned), *_not_holding(inside))
+    warnings = (*_end_of_factors(factor, curves_of_all), *_facing_warnings(facing, flipped), *_not_holding(inside))
     shares = {name: {f"{p:g}": share for p, share in some.items() if share >= 0.0} for name, some in inside.items()}
-    told = {**provenance, "vehicles": len(solved), "flipped": turned, "inside": shares, "doubts": list(doubts)}
-    return FittedDetector(DetectorCalibration(factor, *facing, told), inside, error, doubts, turned)
+    whole = {**provenance, "vehicles": len(solved), "flipped": flipped, "inside": shares, "doubts": list(warnings)}
+    return FittedDetector(DetectorCalibration(factor, *facing, whole), inside, error, warnings, flipped)
 
 
 def _end_of_factors(factor: float, curves: Mapping[tuple[str, float], Array]) -> list[str]:
@@ -143,10 +143,10 @@ def _end_of_factors(factor: float, curves: Mapping[tuple[str, float], Array]) ->
     return found
 
 
-def _facing_doubts(facing: tuple[float, float], turned: int) -> list[str]:
+def _facing_warnings(facing: tuple[float, float], flipped: int) -> list[str]:
     default = DetectorCalibration()
     if facing == (default.facing_bias, default.facing_slope):
-        few = "too few vehicles are" if turned else "no vehicle is"
+        few = "too few vehicles are" if flipped else "no vehicle is"
         return [f"The facing's numbers are the default ones: {few} flipped."]
     return [
         f"{name} {value:.3g} is at an end of what was tried ({low:g} to {high:g})."
@@ -171,7 +171,7 @@ def _shares(inside: Mapping[str, Mapping[float, float]]) -> str:
     return f"regions of {levels} % hold {', '.join(held)}"
 
 
-def _is_turned(box: VideoBox) -> bool:
+def _is_flipped(box: VideoBox) -> bool:
     found = box.outcomes[SYSTEM]
     return found.status is not None and found.degrees > TURNED_ROUND
 
@@ -213,7 +213,7 @@ def _chosen(boxes: Sequence[VideoBox]) -> tuple[Array, NDArray[np.bool_]]:
     """What the directions give the facing of each result that has one, and whether it is right."""
     faced = [box for box in boxes if box.outcomes[SYSTEM].facing is not None]
     said = np.array([box.outcomes[SYSTEM].facing for box in faced], dtype=np.float64)
-    return said, np.array([not _is_turned(box) for box in faced], dtype=bool)
+    return said, np.array([not _is_flipped(box) for box in faced], dtype=bool)
 
 
 def _facing(boxes: Sequence[VideoBox]) -> tuple[float, float]:
@@ -223,7 +223,7 @@ def _facing(boxes: Sequence[VideoBox]) -> tuple[float, float]:
     probability, right = _chosen(boxes)
     default = DetectorCalibration()
     start = np.array([default.facing_bias, default.facing_slope])
-    if np.count_nonzero(~right) < _FEWEST_TURNED or not right.any():
+    if np.count_nonzero(~right) < _FEWEST_FLIPPED or not right.any():
         return default.facing_bias, default.facing_slope
     p = np.clip(probability, 1e-6, 1.0 - 1e-6)
     odds, sign = np.log(p / (1.0 - p)), np.where(right, 1.0, -1.0)

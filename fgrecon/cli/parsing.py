@@ -42,7 +42,7 @@ def parse_ground(plane: str | None, height: float | None) -> tuple[Ground, str] 
     import numpy as np
 
     nx, ny, nz, distance = numbers
-    return Ground(np.array([nx, ny, nz]), distance).told(), f"plane {plane}"
+    return Ground(np.array([nx, ny, nz]), distance).as_given(), f"plane {plane}"
 
 
 def parse_crop(text: str) -> PartOfImage:

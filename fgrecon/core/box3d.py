@@ -90,14 +90,14 @@ class BoxErrors:
         bearing: Of where the origin is seen, pixels across and down.
         yaw: Of the yaw of a box whose heading is not flipped, radians.
         size: Of length, width and height, each as a share of it.
-        turned: Probability that a box's heading is flipped.
+        flip_probability: Probability that a box's heading is flipped.
     """
 
     depth: float = number(0.06, least=1e-3, most=1.0)
     bearing: float = number(2.0, least=0.1, most=1e5)
     yaw: float = number(float(np.deg2rad(10.0)), least=1e-3, most=float(np.pi))
     size: float = number(0.05, least=1e-3, most=1.0)
-    turned: float = number(0.05, least=1e-6, most=0.5)
+    flip_probability: float = number(0.05, least=1e-6, most=0.5)
 
     def __post_init__(self) -> None:
         """Check the settings (`InvalidInputError`)."""

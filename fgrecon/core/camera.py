@@ -333,8 +333,8 @@ class Ground:
         """The same at one depth."""
         return math.hypot(self.height_sigma, self.slope_sigma * depth)
 
-    def told(self) -> Ground:
-        """Itself, as somebody told it: an estimate may be wilder.
+    def as_given(self) -> Ground:
+        """Itself, checked as a plane that is given: an estimate may be wilder.
 
         Raises:
             InvalidInputError: The camera is higher than any that looks at vehicles.
@@ -367,4 +367,4 @@ class Ground:
         Raises:
             InvalidInputError: It is not positive, or is more than 100 metres.
         """
-        return cls(np.array([0.0, 1.0, 0.0]), camera_height).told()
+        return cls(np.array([0.0, 1.0, 0.0]), camera_height).as_given()

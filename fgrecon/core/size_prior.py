@@ -80,8 +80,8 @@ class SizePrior:
             object.__setattr__(self, "traffic", own(moment))
 
     @property
-    def told(self) -> NDArray[np.float64]:
-        """(3,) standard deviations that a solve is told, metres."""
+    def assumed_sigma(self) -> NDArray[np.float64]:
+        """(3,) standard deviations that a solve assumes, metres."""
         return self.sigma if self.allowed is None else self.allowed
 
     @property

@@ -148,7 +148,7 @@ def disturbed_boxes(boxes: Sequence[Box3D], camera: Camera, errors: BoxErrors, r
         ray = box.location / box.location[2]
         ray[:2] += errors.bearing * rng.standard_normal(2) / camera.matrix.diagonal()[:2]
         depth = box.location[2] * (1.0 + errors.depth * draw(1)[0])
-        turn = errors.yaw * rng.standard_normal() + np.pi * (rng.random() < errors.turned)
+        turn = errors.yaw * rng.standard_normal() + np.pi * (rng.random() < errors.flip_probability)
         size = None if box.size is None else box.size * (1.0 + errors.size * draw(3))
         found.append(Box3D(ray * depth, float(wrap_angle(box.rotation_y + turn)), size))
     return found

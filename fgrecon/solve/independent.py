@@ -158,7 +158,7 @@ def _with_box(problem: Problem, box: KnownBox) -> IndependentVehicle:
     shape = state.shapes[0]
     poses = (Alternative(state.poses[0].matrix(), shape[0], 0.0), *adjusted.alternatives[0])
     evidence = image_evidence(problem.observation, poses)
-    evidence = evidence + box_evidence(box.box.rotation_y, box.errors.yaw, box.errors.turned)
+    evidence = evidence + box_evidence(box.box.rotation_y, box.errors.yaw, box.errors.flip_probability)
     belief = Belief.none().updated(evidence)
     image = PosedImage(given=problem, start=start, poses=poses, pose=state.poses[0], weights=state.weights[0])
     if adjusted.optimum.failure is None and (moved := moved_to(image, belief.heading, shape)) is not image:

@@ -205,7 +205,7 @@ def as_ground(ground: Ground | float | None) -> Ground | None:
     if ground is None:
         return None
     if isinstance(ground, Ground):
-        return ground.told()
+        return ground.as_given()
     height = float(as_finite("ground", ground, (), "Give a `Ground`, or the camera's height in metres."))
     if height <= 0.0:
         fix = "Give how high the camera is above the ground, as a positive number of metres, such as 1.65."

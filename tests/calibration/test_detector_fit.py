@@ -48,7 +48,7 @@ def test_what_made_them_is_found():
         for level in SIGMAS:
             assert shares[level] == pytest.approx(level, abs=0.03)
     assert found.calibration.provenance["drives"] == ["a", "b", "c"]
-    assert found.calibration.provenance["flipped"] == found.turned > 100
+    assert found.calibration.provenance["flipped"] == found.flipped > 100
 
 
 @pytest.mark.parametrize("where", ["everywhere", "at one factor"])
@@ -65,10 +65,10 @@ def test_a_drive_without_a_vehicle_that_can_be_judged_is_no_part_of_the_test(whe
 
 
 def test_an_end_of_what_was_tried_and_what_does_not_hold_are_said():
-    assert fit_detector({factor: boxes(factor) for factor in FACTORS}, {}).doubts == ()
+    assert fit_detector({factor: boxes(factor) for factor in FACTORS}, {}).warnings == ()
     wide = fit_detector({factor: boxes(factor / 100.0) for factor in FACTORS}, {})
     assert wide.calibration.common_factor == pytest.approx(FACTORS[-1])
-    end, left_out = wide.doubts
+    end, left_out = wide.warnings
     assert end.startswith("common_factor 32 is the largest that was tried; with it regions of 68 and 95 % hold ")
     assert left_out.startswith(
         "common_factor does not hold on drives left out of the fit: regions of 68 and 95 % hold "
@@ -76,23 +76,23 @@ def test_an_end_of_what_was_tried_and_what_does_not_hold_are_said():
     percent = " and ".join(f"{100 * wide.inside['yaw'][level]:.0f}" for level in SIGMAS)
     assert f", {percent} % of the yaws there." in left_out
     told = wide.calibration.provenance
-    assert told["doubts"] == list(wide.doubts)
+    assert told["doubts"] == list(wide.warnings)
     assert told["inside"]["yaw"] == {"0.68": wide.inside["yaw"][0.68], "0.95": wide.inside["yaw"][0.95]}
-    (narrow,) = fit_detector({factor: boxes(factor * 100.0) for factor in FACTORS}, {}).doubts
+    (narrow,) = fit_detector({factor: boxes(factor * 100.0) for factor in FACTORS}, {}).warnings
     assert narrow.startswith("common_factor 1 is the smallest")
     single = {factor: [box for box in boxes(factor) if box.drive == "a"] for factor in FACTORS}
-    (unknown,) = fit_detector(single, {}).doubts
+    (unknown,) = fit_detector(single, {}).warnings
     assert unknown.endswith("not known: no drive can be left out of the fit.")
     turned = {factor: boxes(factor) for factor in FACTORS}
     for box in turned[FACTORS[0]]:  # the surer the directions, the more are wrong
         found = box.outcomes[SYSTEM]
         box.outcomes[SYSTEM] = replace(found, facing=0.9 if found.degrees > 90.0 else 0.3)
-    assert "facing_slope 0 is at an end of what was tried (0 to 10)." in fit_detector(turned, {}).doubts
+    assert "facing_slope 0 is at an end of what was tried (0 to 10)." in fit_detector(turned, {}).warnings
 
 
 def test_without_a_vehicle_turned_round_the_facing_is_left():
     found = fit_detector({factor: boxes(factor, 200, turns=False) for factor in FACTORS}, {})
-    assert found.doubts[0] == "The facing's numbers are the default ones: no vehicle is flipped."
+    assert found.warnings[0] == "The facing's numbers are the default ones: no vehicle is flipped."
     default = fgrecon.KeypointOptions()
     assert (found.calibration.facing_bias, found.calibration.facing_slope) == (
         default.facing_bias,

@@ -203,7 +203,7 @@ def test_a_camera_is_not_as_high_as_a_mountain():
         with pytest.raises(InvalidInputError, match=r"ground\.distance: got 1650?\.0\. .* in metres, at most 100"):
             Ground.level(height)
         with pytest.raises(InvalidInputError, match="in metres"):
-            Ground(np.array([0.0, 1.0, 0.0]), height).told()
+            Ground(np.array([0.0, 1.0, 0.0]), height).as_given()
     assert Ground.level(99.0).distance == 99.0
 
 

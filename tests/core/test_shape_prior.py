@@ -244,7 +244,7 @@ def test_kitti_size_prior_is_that_of_the_training_labels(data):
     assert len(sizes) == 14357
     assert SIZE_PRIORS["kitti"].mean == pytest.approx(np.mean(sizes, axis=0), abs=0.005)
     assert SIZE_PRIORS["kitti"].sigma == pytest.approx(np.std(sizes, axis=0), abs=0.005)
-    assert (SIZE_PRIORS["kitti"].told <= SIZE_PRIORS["kitti"].sigma).all()
+    assert (SIZE_PRIORS["kitti"].assumed_sigma <= SIZE_PRIORS["kitti"].sigma).all()
     traffic = np.concatenate([objects.size[np.isin(objects.kind, ("Car", "Van"))] for objects in found.values()])
     assert len(traffic) == 15654
     off = traffic - SIZE_PRIORS["kitti"].mean

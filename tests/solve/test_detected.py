@@ -24,7 +24,7 @@ from tests.cars import CAMERA, observe, yaw_pose
 from tests.solve.test_scene import on_the_road
 
 OPTIONS = Options(keep_history=False)
-ERRORS = BoxErrors(turned=1e-3)
+ERRORS = BoxErrors(flip_probability=1e-3)
 
 
 def street(seed, count=5):
@@ -100,7 +100,7 @@ def test_keypoints_turned_round_as_a_whole_are_taken_so():
     vehicle = reconstruct_scene([open_], CAMERA, boxes=[given], options=OPTIONS).vehicles[0]
     assert orientation_error([vehicle.rotation_y], [0.6])[0] < 15.0
     assert 0.5 < vehicle.facing_probability < 0.99
-    trusting = BoxErrors(turned=0.5)
+    trusting = BoxErrors(flip_probability=0.5)
     vehicle = reconstruct_scene([open_], CAMERA, boxes=[given], box_errors=trusting, options=OPTIONS).vehicles[0]
     assert orientation_error([vehicle.rotation_y], [0.6])[0] > 160.0, "a box that tells no side leaves it to the points"
 
@@ -169,7 +169,7 @@ def test_bad_boxes_are_refused():
         reconstruct_scene(seen, CAMERA, boxes=boxes[:1])
     with pytest.raises(InvalidInputError, match="focal"):
         reconstruct_scene(seen, Camera.of_unknown(1242, 375), boxes=boxes)
-    for wrong in ({"depth": 0.0}, {"yaw": np.nan}, {"turned": 0.6}, {"size": "much"}, {"bearing": -1.0}):
+    for wrong in ({"depth": 0.0}, {"yaw": np.nan}, {"flip_probability": 0.6}, {"size": "much"}, {"bearing": -1.0}):
         with pytest.raises(InvalidInputError, match=f"box_errors.{next(iter(wrong))}"):
             BoxErrors(**wrong)
 

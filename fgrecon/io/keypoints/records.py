@@ -7,7 +7,7 @@ points in the names or the order of whoever wrote it; `parse_any_keypoints` make
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,6 @@ from fgrecon.io.keypoints.names import naming_of, scheme_keypoints
 from fgrecon.io.keypoints.pascal3d import read_anchors
 
 __all__ = ["NOT_JSON", "carfusion_records", "keypoint_records", "named_records"]
-
-NOT_JSON = ".mat", ".txt"
-"""Endings of files of other formats than JSON: PASCAL3D+, CarFusion."""
 
 _CAMERA = ("K", "intrinsics", "distortion", "image_size")
 
@@ -67,7 +64,7 @@ def named_records(path: Path, category: Category) -> Iterator[tuple[Record, str]
     Raises:
         InvalidInputError: The file cannot be read or is malformed; names it.
     """
-    return _anchors(path, category) if path.suffix.lower() == ".mat" else carfusion_records(path)
+    return _READERS[path.suffix.lower()](path, category)
 
 
 def _anchors(path: Path, category: Category) -> Iterator[tuple[Record, str]]:
@@ -139,3 +136,12 @@ def _numbers(line: str, where: str, count: int) -> list[float]:
         fix = f"Give `u, v, keypoint, car, visibility` as CarFusion does: keypoint 1 to {count}, visibility 1, 2 or 3."
         raise InvalidInputError(where, line, fix)
     return values
+
+
+_READERS: Mapping[str, Callable[[Path, Category], Iterator[tuple[Record, str]]]] = {
+    ".mat": _anchors,  # PASCAL3D+
+    ".txt": lambda path, _: carfusion_records(path),
+}
+
+NOT_JSON = tuple(_READERS)
+"""Endings of files of other formats than JSON."""

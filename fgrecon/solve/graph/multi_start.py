@@ -91,7 +91,7 @@ def minimise_from_proposals(
         observations: The observations.
         starts: The proposals of each.
         extra: Factors of the caller's own.
-        in_order: Whether the images of a vehicle were taken one after the other, so that it is seldom turned round from
+        in_order: Whether the images of a vehicle were taken one after the other, so that its heading seldom flips from
             one to the next.
         steady: Where the solves end, as `optimise` has it.
 
@@ -266,18 +266,18 @@ def _modes_of(
 ) -> list[list[Alternative]]:
     """Of each image the present pose and the other proposals, refined with the shape held, with energies.
 
-    Where neighbours of a sequence are turned round against each other, every image has the pose turned round as well.
+    Where neighbours of a sequence are flipped against each other, every image has the flipped pose as well.
     """
     poses = [pose.matrix() for pose in state.poses]
     pairs = zip(observations, observations[1:], poses, poses[1:], strict=False)
-    doubt = in_order and any(a.vehicle == b.vehicle and is_flipped(p, q) for a, b, p, q in pairs)
+    flips = in_order and any(a.vehicle == b.vehicle and is_flipped(p, q) for a, b, p, q in pairs)
     modes = []
     for i, (one, start) in enumerate(zip(observations, starts, strict=True)):
         here = State([state.poses[i]], {one.vehicle: state.shapes[one.vehicle]}, [state.weights[i]])
         others = [other.camera_T_object for other in _close_proposals(start)]
         if others or turn_between(poses[i], start.camera_T_object) > POSE_SEARCH.distinct_turn_radians:
             others.append(start.camera_T_object)
-        if doubt and not any(is_flipped(poses[i], other) for other in others):
+        if flips and not any(is_flipped(poses[i], other) for other in others):
             others.append(poses[i] @ HALF_TURN)
         modes.append(_refined_with_shape_held(one, here, others, extra))
     return modes

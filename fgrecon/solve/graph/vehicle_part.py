@@ -193,7 +193,7 @@ class VehiclePart:
             neighbours=category.neighbours,
             mirrored_prior=model.prior.is_symmetric,
             dimension_operator=category.dimension_operator,
-            size=None if model.size is None else (model.size.mean, model.size.told),
+            size=None if model.size is None else (model.size.mean, model.size.assumed_sigma),
             offset_sigma=model.prior.offset_sigma,
             spread=model.any_fleet_spread if is_any_fleets(model, options) else None,
             by_size=model.by_size if self.of_fleet else None,

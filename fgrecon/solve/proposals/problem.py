@@ -71,7 +71,7 @@ class Problem:
         return 1.0 if self.options.box.model is BoxModel.CUBOID else self.common_factor
 
     def showing(self, observation: Observation) -> Problem:
-        """The same of another observation of the vehicle, such as the one turned round.
+        """The same of another observation of the vehicle, such as the flipped one.
 
         Raises:
             DegenerateProblemError: As `of`.

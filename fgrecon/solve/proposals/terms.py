@@ -226,12 +226,12 @@ class SizeTerm:
     @property
     def packed(self) -> tuple[Array, Array, Array]:
         """Arguments of the compiled kernel."""
-        return self.mean - self.prior.mean, np.ascontiguousarray(self.jacobian), self.prior.told
+        return self.mean - self.prior.mean, np.ascontiguousarray(self.jacobian), self.prior.assumed_sigma
 
     def add(self, total: Quadratic, h: Hypotheses) -> None:
         """Add this term."""
-        residual = (self.mean + h.coefficients @ self.jacobian.T - self.prior.mean) / self.prior.told
-        jacobian = np.broadcast_to(self.jacobian / self.prior.told[:, None], (len(h), *self.jacobian.shape))
+        residual = (self.mean + h.coefficients @ self.jacobian.T - self.prior.mean) / self.prior.assumed_sigma
+        jacobian = np.broadcast_to(self.jacobian / self.prior.assumed_sigma[:, None], (len(h), *self.jacobian.shape))
         total.energy += 0.5 * np.square(residual).sum(axis=1)
         total.add(residual, jacobian, slice(6, None))
 
@@ -282,8 +282,8 @@ class DirectionTerm:
     @property
     def probability(self) -> Array:
         """(A,) probability of each direction, relative to the greatest, with what the detector may be wrong by."""
-        doubt = SETTINGS.direction_meaningless_probability
-        probability = (1.0 - doubt) * self.azimuth + doubt / len(self.azimuth)
+        meaningless = SETTINGS.direction_meaningless_probability
+        probability = (1.0 - meaningless) * self.azimuth + meaningless / len(self.azimuth)
         relative: Array = probability / probability.max()
         return relative
 

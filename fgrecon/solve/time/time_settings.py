@@ -54,7 +54,7 @@ class TimeSettings:
     """By which driving must explain the frames better than standing: the logarithm of the thousand speeds that there
     are, as exactly as frames tell one. On KITTI's video parked vehicles stay at 6.6 or below, by two networks, and
     those that drive begin at 10.5."""
-    driving_doubt_nats: float = 3.0  # more or less than that: what leaves open which it is
+    driving_margin_nats: float = 3.0  # more or less than that: what leaves open which it is
     driving_evidence_s: float = 0.5  # frames of less time do not say which it is
     driving_recheck_s: float = 0.3  # after which it is decided anew, where there was no doubt
     # Motion, 1 sigma in a second: rotations (3,) and translations (3,), along the vehicle's axes

@@ -153,7 +153,7 @@ def solve_window(
         return driving if standing.failed else standing
     gained = _energy(standing) - _energy(driving) - SETTINGS.driving_gain_nats
     better = driving if gained > 0.0 else standing
-    return better if abs(gained) > SETTINGS.driving_doubt_nats else replace(better, stands=None)
+    return better if abs(gained) > SETTINGS.driving_margin_nats else replace(better, stands=None)
 
 
 def _energy(solved: WindowSolve) -> float:

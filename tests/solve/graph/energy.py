@@ -110,7 +110,7 @@ class Energy:
         if problem.model.size is not None:
             size = problem.model.size
             measured = np.array([self._dimension(points, dimension) for dimension in self.category.dimensions])
-            terms["dimensions"] = (measured - size.mean) / size.told
+            terms["dimensions"] = (measured - size.mean) / size.assumed_sigma
         usual = 0.0 if options.shape.literal_laplacian else self._delta(self.prior.mean)
         terms["laplacian"] = (self._delta(points) - usual).ravel() / options.shape.laplacian_sigma
         if self.joint and problem.ground is not None:

@@ -106,7 +106,7 @@ def test_what_is_told_is_that_of_the_weighted_keypoints(strategy):
     model, shape = vehicle.model, vehicle.shape
     sizes = np.tensordot(model.prior.category.dimension_operator, shape.derivative, axes=2)
     own = slice(6, 6 + sizes.shape[1])
-    information[own, own] -= sizes.T @ np.diag(model.size.told**-2.0) @ sizes
+    information[own, own] -= sizes.T @ np.diag(model.size.assumed_sigma**-2.0) @ sizes
     information[6:11, 6:11] += np.linalg.inv(model.traffic_spread) - np.eye(5)
     whole = np.linalg.inv(information)
     np.testing.assert_allclose(told.uncertainty.pose_covariance, whole[:6, :6], atol=0.02 * np.abs(whole[:6, :6]).max())

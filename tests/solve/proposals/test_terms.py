@@ -150,12 +150,12 @@ def test_size_term(prior):
     h = hypotheses(prior)
     total = assembled(term.add, h)
     for i in range(COUNT):
-        deviation = (prior.box_size(h.coefficients[i]) - size.mean) / size.told
+        deviation = (prior.box_size(h.coefficients[i]) - size.mean) / size.assumed_sigma
         assert total.energy[i] == pytest.approx(0.5 * deviation @ deviation)
     assert_close(total.gradient, numeric_gradient(term.add, h))
 
     def residual(at):
-        return np.array([(prior.box_size(c) - size.mean) / size.told for c in at.coefficients])
+        return np.array([(prior.box_size(c) - size.mean) / size.assumed_sigma for c in at.coefficients])
 
     assert_close(total.matrix, numeric_gauss_newton(residual, h))
 

@@ -139,7 +139,7 @@ def learn_command(
             proportions=learning.proportions,
             name=name or out.stem,
             provenance={"source": data.source},
-            progress=_told(advance) if screen.bars else None,
+            progress=_progress_callback(advance) if screen.bars else None,
         )
     save_prior(learnt.prior, out)
     _print_summary(screen, learnt, len(data))
@@ -158,7 +158,7 @@ def _renames(values: list[str]) -> dict[str, str]:
     return renames
 
 
-def _told(advance: Advance) -> ProgressCallback:
+def _progress_callback(advance: Advance) -> ProgressCallback:
     """Shows stage, likelihood and iteration, and how much of all the work is done in percent."""
     from fgrecon_research.training.priors.nrsfm import NrsfmProgress
 

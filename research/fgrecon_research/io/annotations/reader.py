@@ -1,4 +1,4 @@
-"""One door to all annotation formats: the format follows from the files' names."""
+"""One entry to all annotation formats: the format follows from the files' names."""
 
 from __future__ import annotations
 
