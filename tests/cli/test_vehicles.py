@@ -130,3 +130,25 @@ def test_a_real_street(data, tmp_path):
         best = int(np.argmin(error))
         assert error[best] < 0.15 * np.linalg.norm(place)
         assert np.cos(cars[best]["rotation_y"] - yaw) > np.cos(np.radians(15.0))
+
+
+def test_hidden_keypoints_have_no_place_in_the_table():
+    """Their pixels are guesses, and a confidence of 0.00 looks like a measurement."""
+    from types import SimpleNamespace
+
+    import numpy as np
+    from rich.console import Console
+
+    from fgrecon.cli.keypoints import _table
+
+    seen = SimpleNamespace(
+        keypoints=np.array([[10.0, 20.0], [30.0, 40.0]]), confidence=np.array([0.97, 0.001]), covariance=None
+    )
+    found = SimpleNamespace(observation=seen, visible=np.array([0.9, 0.1]))
+    console = Console(width=80)
+    with console.capture() as captured:
+        console.print(_table(["car"], [found], ("left", "right"), verbose=False))
+    lines = captured.get().splitlines()
+    (left,), (right,) = ([line for line in lines if name in line] for name in ("left", "right"))
+    assert left.split() == ["car", "left", "10.0", "20.0", "0.97"]
+    assert right.split() == ["car", "right", "hidden"]

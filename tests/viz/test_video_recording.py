@@ -163,3 +163,20 @@ def test_a_viewer_is_sent_each_frame_as_it_comes(example, tmp_path, start):
 def test_nobody_listens(example):
     with pytest.raises(InvalidInputError, match="connect"):
         LiveRecording("drive", "127.0.0.1:1", example.camera)
+
+
+def test_rings_say_their_distance():
+    from fgrecon.simulation.vehicles import KITTI_CAMERA
+    from fgrecon.viz.video_recording import _FrameLog
+
+    logged = {}
+
+    class Stream:
+        def log(self, entity, *archetypes, static=False):
+            logged[entity] = (archetypes, static)
+
+    _FrameLog(Stream(), KITTI_CAMERA)
+    (marks,), static = logged["world/here/rings/distances"]
+    assert static
+    assert marks.labels.as_arrow_array().to_pylist() == ["10 m", "20 m", "30 m", "40 m", "50 m"]
+    assert [place[2] for place in marks.positions.as_arrow_array().to_pylist()] == [10.0, 20.0, 30.0, 40.0, 50.0]
