@@ -60,7 +60,7 @@ def reconstruct_files(request: BatchRequest, report: Callable[[Tally], None] = l
     camera = source.camera()[0]
     if camera is None and source.crop is not None:
         value = f"{source.crop.left:g},{source.crop.top:g}"
-        raise InvalidInputError("crop", value, "Give the whole image's camera too: --camera or --intrinsics.")
+        raise InvalidInputError("crop", value, "Give the whole image's camera too (--camera, --intrinsics).")
     camera = None if camera is None else source.complete(camera, declared=False)
     reconstructor = Reconstructor(
         prior=settings.prior if settings.prior_file else settings.prior.name,

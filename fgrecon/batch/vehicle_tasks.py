@@ -113,7 +113,9 @@ def read_tasks(
         camera = given or instance.camera
         if camera is None:
             value = f"no camera for instance {instance.name}"
-            raise InvalidInputError("intrinsics", value, "Give --camera, --intrinsics, or K in the file.")
+            raise InvalidInputError(
+                "intrinsics", value, "Give a camera file or intrinsics (--camera, --intrinsics), or K in the file."
+            )
         complete = source.complete(camera, declared=given is None and not is_track)
         tasks.append(VehicleTask(instance, complete, offset if given is None else given_offset))
     return tasks, ignored

@@ -200,7 +200,10 @@ class SceneOptions:
     prior: PriorOption = "car14"
     camera_height: Annotated[
         float | None,
-        typer.Option(help="Height of a level camera above the ground, m.", show_default="no ground plane"),
+        typer.Option(
+            help="Height of a level camera above the ground, m (in Python `ground=HEIGHT`).",
+            show_default="no ground plane",
+        ),
     ] = None
     ground: GroundOption = None
     size_prior: Annotated[
@@ -259,7 +262,10 @@ class LabelledScene:
     ] = _KITTI
     camera_height: Annotated[
         float | None,
-        typer.Option(help="Height of a level camera above the ground, m.", show_default=str(KITTI_CAMERA_HEIGHT)),
+        typer.Option(
+            help="Height of a level camera above the ground, m (in Python `ground=HEIGHT`).",
+            show_default=str(KITTI_CAMERA_HEIGHT),
+        ),
     ] = None
     ground: Annotated[
         str | None,

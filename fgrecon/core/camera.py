@@ -148,7 +148,7 @@ class Camera:
             known = f"{self.image_size[0]} x {self.image_size[1]}"
             fix = (
                 f"Give a calibration for that size: this one is for {known} pixels. Of a part of an image say which "
-                "(--crop, Camera.cropped); one made smaller needs its intrinsics as much smaller."
+                "(Camera.cropped, --crop); one made smaller needs its intrinsics as much smaller."
             )
             raise InvalidInputError("image", f"{size[0]} x {size[1]} pixels", fix)
         return replace(self, image_size=size)

@@ -253,7 +253,9 @@ def _per_keypoint(fields: Fields, field: str, category: Category, shape: tuple[i
     unknown = [str(name) for name in given if name not in category.keypoints]
     if unknown:  # and not left out: it may be a typing error, which would lose a keypoint
         ours = ", ".join(category.keypoints)
-        fix = f"Use the keypoints of {category.name} ({ours}), say which one it is with --names, or take it out."
+        fix = (
+            f"Use the keypoints of {category.name} ({ours}), say which one it is by `names` (--names), or take it out."
+        )
         raise InvalidInputError(place, ", ".join(unknown), fix)
     array = np.full((category.size, *shape), np.nan)
     for name, value in given.items():

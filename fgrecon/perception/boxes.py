@@ -43,14 +43,16 @@ def boxes_of(
     Raises:
         InvalidInputError: Several or none of these are given, or there is no car in this image.
     """
-    ways = {"--box": bool(given), "--boxes": file is not None, "--detect": search is not None}
+    ways = {"given (--box)": bool(given), "file (--boxes)": file is not None, "search (--detect)": search is not None}
     if sum(ways.values()) != 1:
         flags = " and ".join(way for way, used in ways.items() if used) or "nothing"
-        raise InvalidInputError("box", flags, "Give either --box, --boxes with a file, or --detect.")
+        raise InvalidInputError(
+            "box", flags, "Give one of them: boxes (--box), a file (--boxes), or an image to search (--detect)."
+        )
     if search is not None:
         found = detected_boxes(search, least_score)
         if not found:
-            raise InvalidInputError("detect", str(image), "No car was found in it; give its box with --box.")
+            raise InvalidInputError("detect", str(image), "No car was found in it; give its box (`given`, --box).")
         return found
     if file is None:
         corners = [as_finite(f"box[{number}]", box, (4,)) for number, box in enumerate(given)]

@@ -136,7 +136,7 @@ class Refiner:
         if camera is None:
             beside = calibration_beside(image)
             if beside is None:
-                fix = "Give --calib, --camera or --intrinsics."
+                fix = "Give a calibration, a camera file or intrinsics (--calib, --camera, --intrinsics)."
                 raise InvalidInputError("camera", f"none for {image}", fix)
             camera, offset = beside.camera, beside.label_offset
         return given.complete(camera, declared=False), np.zeros(3) if offset is None else offset

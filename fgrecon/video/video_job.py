@@ -175,7 +175,9 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
         raise InvalidInputError("ground", ground.distance, fix)
     source, given = _open_source(request)
     if source.assumed_rate:
-        warn(f"No --fps is given: {DEFAULT_RATE:g} frames per second are assumed; speeds go with it.")
+        warn(
+            f"No frame rate (`fps`, --fps) is given: {DEFAULT_RATE:g} frames per second are assumed; speeds go with it."
+        )
     if given is not None and given.left_out:
         warn(f"{request.tracks}: {in_words(given.left_out)} are left out, since they are no {' or '.join(KINDS)}.")
     source_has = BoxModel.DETECTED if given is None else BoxModel.CUBOID if given.cuboids else BoxModel.SURFACE
@@ -207,9 +209,11 @@ def _is_moving(request: VideoRequest, source: FrameSource) -> bool:
         if not images:
             raise InvalidInputError("estimate_motion", request.source, "Give images: keypoints alone have none.")
         if request.poses is not None:
-            raise InvalidInputError("poses", str(request.poses), "Give either --poses or --estimate-motion.")
+            raise InvalidInputError(
+                "poses", str(request.poses), "Give either `poses` (--poses) or `estimate_motion` (--estimate-motion)."
+            )
         if ground is None:
-            fix = "Give --camera-height or --ground: how far the camera goes is measured on the ground."
+            fix = "Give the ground (--camera-height, --ground): how far the camera goes is measured on the ground."
             raise InvalidInputError("estimate_motion", "no ground", fix)
     return request.estimate_motion
 
@@ -231,7 +235,7 @@ def _open_source(request: VideoRequest) -> tuple[FrameSource, Given | None]:
             raise InvalidInputError("video", request.source, "Give images: keypoints alone have none.")
         return numbered_frames(path, given.vehicles, times=given.times, **choice), given
     if request.forget_ids and request.tracks is None:
-        raise InvalidInputError("forget_ids", value=True, fix="Give --tracks as well, or leave it out.")
+        raise InvalidInputError("forget_ids", value=True, fix="Give `tracks` (--tracks) as well, or leave it out.")
     source = open_frames(request.source, **choice)
     if request.tracks is None:
         return source, None
@@ -260,7 +264,7 @@ def _camera(
     if camera is None and whole is not None:
         camera = Camera.of_unknown(*whole)
     if camera is None:
-        raise InvalidInputError("camera", "none", "Give --camera or --intrinsics.")
+        raise InvalidInputError("camera", "none", "Give a camera file or intrinsics (--camera, --intrinsics).")
     camera = request.camera.complete(camera, declared=False)
     if size is not None:
         camera = replace(camera, image_size=size)
@@ -278,7 +282,7 @@ def _estimated_camera(
     if found is None:
         warn(
             f"No camera is given, and no car tells: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is "
-            "assumed, and distances are rough. Give --camera or --intrinsics."
+            "assumed, and distances are rough. Give a camera file or intrinsics (--camera, --intrinsics)."
         )
         return unknown
     cars = f"{counted(found.vehicles, 'car')} of {counted(found.images, 'frame')}"

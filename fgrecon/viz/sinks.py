@@ -259,7 +259,7 @@ def start_viewer(bind: str = LOOPBACK) -> str:
         time.sleep(_SETTLING if listened else 0.1)
     if viewer.poll() is None:
         viewer.terminate()
-    fix = "Use --save FILE.rrd, and open the file where there is a display."
+    fix = "Write a file (`save`, --save FILE.rrd), and open the file where there is a display."
     raise InvalidInputError("spawn", "the viewer does not start here", fix)
 
 

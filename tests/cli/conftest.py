@@ -1,6 +1,7 @@
 """A made-up car with exact keypoints, as a keypoint file, and a network that has learnt nothing."""
 
 import json
+import signal
 
 import numpy as np
 import pytest
@@ -64,3 +65,13 @@ def weights(tmp_path_factory):
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
     yield save_weights(path, untrained(sizes, calibration=ConfidenceCalibration(bias=1.0), provenance={"data": "none"}))
     torch.set_num_threads(threads)
+
+
+@pytest.fixture(autouse=True)
+def interruptible():
+    """Ctrl-C interrupts, also where the shell that started the tests ignores it."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)

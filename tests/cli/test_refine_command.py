@@ -123,7 +123,7 @@ def test_what_cannot_be_used_is_refused(sample, tmp_path):
         assert field in str(done.exception)
     without = run("refine", boxes, image, "--out", tmp_path / "o.txt")
     assert without.exception.field == "camera"
-    assert "Give --calib" in without.exception.fix
+    assert "(--calib, --camera, --intrinsics)" in without.exception.fix
     assert isinstance(run("refine", folder, sample, "--out", tmp_path / "o").exception, InvalidInputError)
     assert not [*tmp_path.glob("o*.txt"), *tmp_path.glob("o/*")], "there is nothing to read"
 

@@ -33,3 +33,8 @@ def rows(text):
     return [
         [cell.strip() for cell in line.strip("| ").split(" | ")] for line in text.splitlines() if line.startswith("|")
     ]
+
+
+def fenced(text):
+    """Language and text of every code block of a page, in the order of the page."""
+    return re.findall(r"^```(\w*)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)

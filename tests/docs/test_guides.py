@@ -1,20 +1,39 @@
-"""The guides run as they stand: their commands and their Python, in order, on the files of `fgrecon sample`."""
+"""README, index and guides run as they stand: commands and Python, in the order of the page, in an empty folder."""
 
+import re
 import shlex
+import shutil
+import subprocess
+import sys
 
 import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
+from fgrecon_research.cli import COMMANDS
 from tests.conftest import REPOSITORY
-from tests.docs.pages import blocks, commands
+from tests.docs.pages import commands, fenced
 
 GUIDES = [
+    REPOSITORY / "README.md",
     REPOSITORY / "docs/index.md",
-    *(path for path in sorted((REPOSITORY / "docs/guides").glob("*.md"))),
+    *sorted((REPOSITORY / "docs/guides").glob("*.md")),
 ]
-NEEDS_MORE = ("DATA", "fgrecon replay", "keypoints.npz", "learnt.npz")
-"""Words of commands that need the real data, a window, or annotations of the user's."""
+NEEDS_MORE = {
+    r"\bDATA\b": "real data",
+    r"learn keypoints\.npz": "annotations of the user's",
+    r"^fgrecon replay \S+$": "a window",
+    r"--web": "serves until it is stopped",
+}
+"""What in a line of a shell block says that the tests cannot run it, and what it needs."""
+OTHER_ENGINES = "ray.data", "map_partitions", "mapInArrow", "import apache_beam"
+"""What in a `py` block says that it is a piece for an engine that is not there."""
+INSTALL = {
+    "fgrecon-research": r"\./research",
+    "video": r"\[video\]|extra\W+`video`",
+}
+"""Words by which a page names a package or an extra."""
+SAMPLE = "fgrecon sample --out sample"
 
 
 @pytest.fixture(scope="session")
@@ -23,24 +42,48 @@ def sample(tmp_path_factory):
     folder = tmp_path_factory.mktemp("guides")
     done = CliRunner().invoke(main.app, ["sample", "--out", str(folder / "sample")])
     assert done.exit_code == 0, done.output
-    return folder
+    return folder / "sample"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("guide", GUIDES, ids=lambda path: path.stem)
-def test_its_python_and_its_commands(guide, sample, monkeypatch, capsys):
-    monkeypatch.chdir(sample)
-    text = guide.read_text(encoding="utf-8")
-    if guide.stem == "rerun":  # its Python reads what its commands write
-        run_commands(text)
-    for block in blocks(text, "python"):
-        exec(compile(block, guide.name, "exec"), {"__name__": guide.stem})
-    if guide.stem != "rerun":
-        run_commands(text)
+def test_its_blocks_run_in_order_in_an_empty_folder(guide, sample, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for language, block in fenced(guide.read_text(encoding="utf-8")):
+        if language == "python":
+            names = {"__name__": guide.stem}  # no block needs another one's names
+            exec(compile(block, guide.name, "exec"), names)
+        elif language == "py" and not any(word in block for word in OTHER_ENGINES):
+            (tmp_path / "script.py").write_text(block, encoding="utf-8")
+            subprocess.run([sys.executable, "script.py"], check=True, capture_output=True)
+        elif language == "bash":
+            run_commands(f"```bash\n{block}```\n", sample)
+    if guide.stem == "photograph":  # "three cars, 11, 14 and 18 m ahead, and this finds all of them"
+        found = sorted(float(car.result.location[2]) for car in names["cars"])
+        assert found == pytest.approx([11.0, 14.0, 18.0], abs=1.5)
 
 
-def run_commands(text):
+def run_commands(text, sample):
     for line in commands(text):
-        if not any(word in line for word in NEEDS_MORE):
+        if line == SAMPLE:
+            shutil.copytree(sample, "sample", dirs_exist_ok=True)  # it is the same each time
+        elif not any(re.search(pattern, line) for pattern in NEEDS_MORE):
             done = CliRunner().invoke(main.app, shlex.split(line)[1:])
             assert done.exit_code == 0, f"{line}: {done.output}"
+
+
+def needed(line):
+    """The package or extra beside fgrecon that a command needs, if any."""
+    words = shlex.split(line)[1:]
+    if words[1] in COMMANDS.get(words[0], {}):
+        return "fgrecon-research"
+    return "video" if any(word.endswith(".mp4") for word in words) else None
+
+
+@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: path.stem)
+def test_what_a_command_needs_is_named_before_it(guide):
+    text = guide.read_text(encoding="utf-8")
+    for found in re.finditer(r"^fgrecon .+$", text, re.MULTILINE):
+        if (package := needed(found.group().split("  #")[0])) is not None:
+            assert re.search(INSTALL[package], text[: found.end()]), found.group()

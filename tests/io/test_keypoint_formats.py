@@ -206,7 +206,10 @@ SPOILT = coco(labelled(), keypoint_probability=[0.9] * 14)
         (lambda c: c["annotations"][0]["keypoints"].__setitem__(2, 5), r"keypoints: got 5.0. Let every third"),
         (lambda c: c["categories"].pop(), "categories: got no keypoint names"),
         (lambda c: c["categories"][1].update(keypoints=["a"] * 14), "Give a list of distinct names"),
-        (lambda c: c["categories"][1].update(keypoints=[f"p{i}" for i in range(14)]), "Say with --names which"),
+        (
+            lambda c: c["categories"][1].update(keypoints=[f"p{i}" for i in range(14)]),
+            r"Say by `names` \(--names\) which",
+        ),
         (lambda c: c["images"][0].pop("id"), r"images\[0\]\.id: got nothing"),
         (lambda c: c["annotations"].clear(), "keypoints: got no labelled keypoint"),
     ],

@@ -63,7 +63,9 @@ class CameraSource:
         """
         if self.calib is not None and self.intrinsics is not None:
             text = ",".join(f"{number:g}" for number in self.intrinsics)
-            raise InvalidInputError("intrinsics", text, "Give either --calib or --intrinsics.")
+            raise InvalidInputError(
+                "intrinsics", text, "Give either a calibration (--calib) or intrinsics (--intrinsics)."
+            )
 
     @property
     def given(self) -> bool:
@@ -99,7 +101,11 @@ class CameraSource:
             InvalidInputError: Another way is used as well, or the file is none.
         """
         if self.file is not None and (self.calib is not None or self.intrinsics is not None):
-            raise InvalidInputError("camera", self.file, "Give either --camera, --calib or --intrinsics.")
+            raise InvalidInputError(
+                "camera",
+                self.file,
+                "Give either a camera file (--camera), a calibration (--calib) or intrinsics (--intrinsics).",
+            )
         if self.calib is not None:
             calibration = read_calibration(self.calib)
             return MountedCamera(calibration.camera, calibration.label_offset)
@@ -163,5 +169,6 @@ def assumed_focal_length(camera: Camera, exif: Camera | None, cars: str = "its c
     source = f"what {cars} look like" if exif is None else f"the EXIF data and {cars}"
     return (
         f"No camera is given: the focal length is {camera.matrix[0, 0]:.0f} px, known to "
-        f"{100 * camera.focal_sigma:.0f} %, from {source}. Distances are as rough. Give --camera or --intrinsics."
+        f"{100 * camera.focal_sigma:.0f} %, from {source}. Distances are as rough. "
+        "Give a camera file or intrinsics (--camera, --intrinsics)."
     )

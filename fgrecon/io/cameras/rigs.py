@@ -100,7 +100,9 @@ def _channel(tables: NuScenesTables, name: str | None) -> Fields:
         str((s.data.get("camera_intrinsic"), s.data.get("translation"), s.data.get("rotation"))) for s in fitting
     }
     if len(cameras) != 1:
-        raise InvalidInputError("camera", f"{len(cameras)} calibrations of {name}", "Name the photograph (--image).")
+        raise InvalidInputError(
+            "camera", f"{len(cameras)} calibrations of {name}", "Name the photograph (`image`, --image)."
+        )
     return fitting[0]
 
 

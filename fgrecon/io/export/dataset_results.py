@@ -40,7 +40,7 @@ def nuscenes_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo
         info = info_of(image, images)
         for field in ("sample_token", "world_T_camera"):
             if getattr(info, field) is None:
-                fix = "Give a file of images (--images) that tells it."
+                fix = "Give a file of images (`images`, --images) that tells it."
                 raise InvalidInputError(f"images.{image or '*'}.{field}", "nothing", fix)
         assert info.sample_token is not None
         found.setdefault(info.sample_token, []).extend(_nuscenes_entry(item, info) for item in items)

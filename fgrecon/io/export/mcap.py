@@ -134,7 +134,7 @@ def _moments(results: Sequence[NamedResult], images: Mapping[str, ImageInfo], be
         info = info_of(image, images)
         seconds = number * _PERIOD if info.timestamp is None else info.timestamp
         if not 0.0 <= seconds < below:
-            fix = f"Give seconds, from 0 to less than {below}, by a file of images (--images)."
+            fix = f"Give seconds, from 0 to less than {below}, by a file of images (`images`, --images)."
             raise InvalidInputError(f"images.{image or EVERY}.timestamp", seconds, fix)
         moments.append((round(seconds * _NANO), info, items))
     yield from sorted(moments, key=lambda moment: moment[0])

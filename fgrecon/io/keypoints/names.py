@@ -139,7 +139,7 @@ def order_of(count: int, category: Category, names: Names | None, field: str) ->
     """
     if names is not None and names.order is not None:
         if len(names.order) != count:
-            fix = f"Give names for {count} points: --names says {len(names.order)}."
+            fix = f"Give names for {count} points: `names` (--names) says {len(names.order)}."
             raise InvalidInputError(field, f"{count} points", fix)
         return names.order
     if names is not None and names.groups:  # pairs: points without names are called by their numbers
@@ -149,7 +149,7 @@ def order_of(count: int, category: Category, names: Names | None, field: str) ->
     known = [scheme for scheme in _schemes().values() if len(scheme.keypoints) == count]
     if len(known) == 1 and category.name in known[0].groups:
         return known[0].keypoints
-    fix = f"Say with --names which points these are: {_fix()}"
+    fix = f"Say by `names` (--names) which points these are: {_fix()}"
     raise InvalidInputError(field, f"{count} points without names", fix)
 
 

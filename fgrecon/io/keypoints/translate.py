@@ -41,12 +41,12 @@ def translated(
     extra = {field: _named(record, field, category, names, where) for field in _EXTRA if record.get(field) is not None}
     known = names if names is not None and (names.groups or names.order) else naming_of(points, category)
     if known is None:
-        fix = f"Say with --names which keypoints of {category.name} these are."
+        fix = f"Say by `names` (--names) which keypoints of {category.name} these are."
         raise InvalidInputError(f"{where}keypoints", ", ".join(points) or "no name", fix)
     groups = {ours: known.groups.get(ours, (ours,)) for ours in category.keypoints}
     used = {theirs for group in groups.values() for theirs in group}
     if not used & set(points):
-        fix = f"None is a keypoint of {category.name}; say with --names which ones these are."
+        fix = f"None is a keypoint of {category.name}; say by `names` (--names) which ones these are."
         raise InvalidInputError(f"{where}keypoints", ", ".join(points), fix)
     result = dict(record) | {"keypoints": _centres(points, groups, None, f"{where}keypoints")}
     for field, values in extra.items():
