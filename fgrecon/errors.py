@@ -1,8 +1,9 @@
-"""The errors that fgrecon raises on purpose, all derived from `FgreconError`, and its warning."""
+"""The errors that fgrecon raises on purpose, all derived from `FgreconError`, and its warnings."""
 
 from fgrecon.core.errors import (
     AssumedCameraWarning,
     ChildNotBegunError,
+    ContradictoryInputWarning,
     DamagedFileWarning,
     DegenerateProblemError,
     FactorCallbackError,
@@ -14,6 +15,7 @@ from fgrecon.core.errors import (
 __all__ = [
     "AssumedCameraWarning",
     "ChildNotBegunError",
+    "ContradictoryInputWarning",
     "DamagedFileWarning",
     "DegenerateProblemError",
     "FactorCallbackError",

@@ -20,7 +20,7 @@ from fgrecon.batch.tasks import nested, record_of
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.input_warnings import InputWarning, fits_poorly, input_warning_of
+from fgrecon.core.input_warnings import InputWarning, input_warning_of, result_warning_of, summed_up
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior, SizesLike
@@ -136,7 +136,8 @@ class Reconstructor:
 
     def __call__(self, table: pa.Table) -> pa.Table:
         """The results of a table's rows, in their order."""
-        rows = [row for position, task in enumerate(table.to_pylist()) for row in self._results(task, position)]
+        with summed_up():
+            rows = [row for position, task in enumerate(table.to_pylist()) for row in self._results(task, position)]
         return table_of(rows)
 
     def _results(self, task: Mapping[str, Any], position: int) -> list[Row]:
@@ -182,8 +183,7 @@ class Reconstructor:
             )
         except Exception as error:  # noqa: BLE001 - one bad vehicle must not take the others of its row along
             return failed_row(origin, error, vehicle, name) | {"doubt": doubt}
-        if doubt is None and fits_poorly(seen, result.diagnostics.weights):
-            doubt = InputWarning.FIT
+        doubt = doubt or result_warning_of(seen, result)
         return solved_row(origin, vehicle, name, result, camera, instance.box, instance.score) | {"doubt": doubt}
 
     def _image(self, task: Mapping[str, Any], origin: Row) -> Iterator[Row]:

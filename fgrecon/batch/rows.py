@@ -93,6 +93,7 @@ def solved_row(
         "box": _flat(box),
         "score": score,
         "box_excess": finite(result.diagnostics.box_excess),
+        "left_out": list(result.diagnostics.left_out),
         "milliseconds": sum(result.diagnostics.milliseconds.values()),
     }
 

@@ -56,6 +56,7 @@ def result_schema() -> Any:
         ("score", _NUMBER),
         ("box_excess", _NUMBER),
         ("doubt", _TEXT),
+        ("left_out", pa.list_(_TEXT)),
         ("focal_sigma", _NUMBER),
         ("milliseconds", _NUMBER),
     ]

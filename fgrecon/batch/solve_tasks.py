@@ -14,7 +14,7 @@ from fgrecon.batch.pool import WorkerDiedError, work
 from fgrecon.batch.vehicle_tasks import VehicleTask, Watch
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.input_warnings import InputWarnings, fits_poorly
+from fgrecon.core.input_warnings import InputWarnings, summed_up
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.core.vehicle_mesh import ClosestModel, VehicleMesh, closest_model
@@ -28,6 +28,7 @@ __all__ = [
     "check_any",
     "fit_warnings",
     "grounds_of",
+    "left_out_lines",
     "solve_same_camera",
     "solve_task",
     "solve_tasks",
@@ -92,6 +93,7 @@ class SolvedImage:
         }
 
 
+@summed_up()
 def solve_tasks(
     tasks: Sequence[VehicleTask], settings: RunSettings, *, together: bool, jobs: int = 1, watch: Watch
 ) -> tuple[list[Outcome], list[SolvedImage]]:
@@ -118,6 +120,7 @@ def solve_tasks(
     return _solve_in_processes(tasks, settings, jobs, watch), []
 
 
+@summed_up()
 def solve_task(task: VehicleTask, settings: RunSettings) -> Outcome:
     """Reconstruct one vehicle; an error that fgrecon raises on purpose becomes its outcome."""
     instance = task.instance
@@ -180,6 +183,7 @@ def _solve_images(
     return [outcomes[n] for n in range(len(tasks))], solved
 
 
+@summed_up()
 def solve_same_camera(
     images: Sequence[tuple[str, Sequence[VehicleTask]]], settings: RunSettings
 ) -> list[tuple[list[Outcome], SolvedImage]]:
@@ -232,13 +236,23 @@ def with_closest(outcomes: Sequence[Outcome], models: Sequence[VehicleMesh]) -> 
 
 
 def fit_warnings(outcomes: Iterable[Outcome]) -> list[str]:
-    """What to warn of once vehicles are solved: in most of them hardly a keypoint fits."""
+    """What to warn of once vehicles are solved: of most of them hardly a keypoint fits, or sides are exchanged."""
     doubts = InputWarnings()
     for outcome in outcomes:
         seen = outcome.task.usable_observation
         if outcome.result is not None and seen is not None:
-            doubts.add_fit(outcome.name, poorly=fits_poorly(seen, outcome.result.diagnostics.weights))
+            doubts.add_result(outcome.name, seen, outcome.result)
     return doubts.lines()
+
+
+def left_out_lines(outcomes: Iterable[Outcome]) -> list[str]:
+    """What was left out of the vehicles' observations, and why."""
+    return [
+        f"{outcome.name}: {line}"
+        for outcome in outcomes
+        if outcome.result is not None
+        for line in outcome.result.diagnostics.left_out
+    ]
 
 
 def check_any(path: Path, outcomes: Sequence[Outcome]) -> bool:

@@ -15,7 +15,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.input_warnings import InputWarnings, input_warning_of
+from fgrecon.core.input_warnings import InputWarnings, camera_warning_of, input_warning_of
 from fgrecon.core.observation import Observation
 from fgrecon.io.boxes import NamedBox
 from fgrecon.io.cameras.camera_source import CameraSource
@@ -213,10 +213,17 @@ def _networks(weights: Path | None) -> KeypointCascade:
     return KeypointCascade(weights)
 
 
-def input_warnings(tasks: Iterable[VehicleTask]) -> list[str]:
-    """What to warn of before vehicles are solved: keypoints in other units, or not where the vehicle is."""
+def input_warnings(tasks: Iterable[VehicleTask], *, detected: bool = False) -> list[str]:
+    """What to warn of before vehicles are solved: keypoints in other units, or not where the vehicle is, or the camera.
+
+    Args:
+        tasks: The vehicles.
+        detected: Whether the keypoints are those that the networks detect, which leaves the camera.
+    """
     doubts = InputWarnings()
     for task in tasks:
-        if (seen := task.usable_observation) is not None:
+        if detected:
+            doubts.add(task.instance.name, camera_warning_of(task.camera))
+        elif (seen := task.usable_observation) is not None:
             doubts.add(task.instance.name, input_warning_of(seen, task.camera))
     return doubts.lines()

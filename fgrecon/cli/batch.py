@@ -93,6 +93,9 @@ def _report(tally: Tally, out: Path, screen: Screen) -> int:
         screen.warn(boxes_warning(off))
     for line in tally.doubts.lines():
         screen.warn(line)
+    if tally.left_out:
+        of = counted(len(tally.left_out), "vehicle")
+        screen.note(f"Of {of} something was left out, as column left_out says; the first is {tally.left_out[0]}")
     screen.wrote(out)
     solved = {status.value for status in Status if status is not Status.FAILED}
     if not tally.statuses or solved & set(tally.statuses):

@@ -18,6 +18,7 @@ from fgrecon.batch.solve_tasks import (
     check_any,
     fit_warnings,
     grounds_of,
+    left_out_lines,
     solve_same_camera,
     solve_tasks,
     with_closest,
@@ -86,7 +87,7 @@ def reconstruct_file(files: Sequence[Path], request: ReconstructRequest, screen:
     photograph, ignored = _read(file, request, settings, screen)
     tasks = _chosen(photograph.tasks, request.solving.ids)
     _check_animated(request.drawings, tasks)
-    warnings = [] if of_image else input_warnings(tasks)
+    warnings = input_warnings(tasks, detected=of_image)
     if settings.ground is None and tasks:
         image = file if of_image else request.drawings.image
         screen.print(*_ground_of(photograph.source, tasks[0].instance.image or (None if image is None else image.name)))
@@ -98,7 +99,11 @@ def reconstruct_file(files: Sequence[Path], request: ReconstructRequest, screen:
         screen.print(*report.image_lines(image_solved))
         if image_solved.result.camera.focal_sigma:
             screen.warn(assumed_focal_length(image_solved.result.camera, photograph.source.exif))
-    for line in () if of_image else warnings or fit_warnings(solved.outcomes):
+    left_out = left_out_lines(solved.outcomes)
+    screen.print(
+        *left_out[:_NAMED], *([f"... and {len(left_out) - _NAMED} more left out."] if left_out[_NAMED:] else [])
+    )
+    for line in warnings or ([] if of_image else fit_warnings(solved.outcomes)):
         screen.warn(line)
     if ignored:
         screen.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.")

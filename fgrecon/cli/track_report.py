@@ -20,6 +20,7 @@ from fgrecon.cli.reconstruct_report import SCHEMA_VERSION, entry_of
 from fgrecon.cli.reconstruct_report import details as result_details
 from fgrecon.cli.terminal import compact_table
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.rounding import rounded
 from fgrecon.core.serialise import plain
@@ -114,7 +115,8 @@ def solve(
         truths=truths,
         ground=settings.ground,
     )
-    result = reconstruct_track(sight.observations, sight.cameras, **settings.arguments())
+    with summed_up():
+        result = reconstruct_track(sight.observations, sight.cameras, **settings.arguments())
     quiet = replace(settings, options=replace(settings.options, keep_history=False))
     solved = [tasks[index] for index in result.numbers] if truths is not None else []
     alone = tuple(solve_task(task, quiet).result for task in solved)

@@ -46,12 +46,14 @@ class Camera:
         image_size: (width, height) in pixels where known, else None.
         focal_sigma: Standard deviation of the focal lengths' logarithm, about their relative error; 0 where they are
             known. `fgrecon.reconstruct_scene` and `fgrecon.reconstruct_image` find them where they are not.
+        cropped_from_larger: Whether the image is a part of one (`cropped`): the principal point may be anywhere.
     """
 
     matrix: NDArray[np.float64]
     distortion: NDArray[np.float64] | None = None
     image_size: tuple[int, int] | None = None
     focal_sigma: float = 0.0
+    cropped_from_larger: bool = False
 
     def __post_init__(self) -> None:
         """Check the matrix and the coefficients.
@@ -188,7 +190,7 @@ class Camera:
                 raise InvalidInputError("crop", part, "Give a part of the image of {} x {}.".format(*self.image_size))
         matrix = self.matrix.copy()
         matrix[:2, 2] -= corner
-        return replace(self, matrix=matrix, image_size=size)
+        return replace(self, matrix=matrix, image_size=size, cropped_from_larger=True)
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
         """Pixels (..., 2) of points (..., 3) in the camera frame, without distortion.

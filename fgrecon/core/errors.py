@@ -16,6 +16,7 @@ from factors.errors import (
 __all__ = [
     "AssumedCameraWarning",
     "ChildNotBegunError",
+    "ContradictoryInputWarning",
     "DamagedFileWarning",
     "DegenerateProblemError",
     "FactorCallbackError",
@@ -70,3 +71,7 @@ class UncoveredFramesWarning(UserWarning):
 
 class DamagedFileWarning(UserWarning):
     """A file that an earlier run stored is damaged; what it held is computed again."""
+
+
+class ContradictoryInputWarning(UserWarning):
+    """Keypoints, boxes or a camera contradict one another: results are probably wrong."""

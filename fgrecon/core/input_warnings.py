@@ -1,12 +1,18 @@
-"""Keypoints that are surely not what they are taken for: of one vehicle what must be wrong, of many what to warn of.
+"""Inputs that are surely not what they are taken for: of one vehicle what must be wrong, of many what to warn of.
 
-Such keypoints are solved nevertheless, since each of these can be right in an odd case; but the status of a result
-alone does not tell what to look for.
+Such keypoints and cameras are solved nevertheless, since each of these can be right in an odd case; but the status of a
+result alone does not tell what to look for. The entries of Python warn (`warn_of`), each time that they are called;
+what calls them for many vehicles says it once, with their number (`summed_up`).
 """
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -14,41 +20,92 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
+from fgrecon.core.errors import ContradictoryInputWarning
 from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Reconstruction
 
-__all__ = ["InputWarning", "InputWarnings", "fits_poorly", "input_warning_of"]
+__all__ = [
+    "FARTHEST_OUTSIDE",
+    "MIRRORED_GAIN",
+    "InputWarning",
+    "InputWarnings",
+    "camera_warning_of",
+    "fit_share",
+    "input_warning_of",
+    "result_warning_of",
+    "summed_up",
+    "warn_of",
+]
+
+FARTHEST_OUTSIDE = 0.5
+"""Of an image's size: so far beyond its edges may keypoints be of a vehicle that they cut off."""
+
+MIRRORED_GAIN = 8.0
+"""Nats by which keypoints fit better with left and right exchanged if they are. Exchanged ones of KITTI's tracks gain
+11 to 40, and the right ones lose as much."""
 
 _NAMED = 3  # vehicles that a warning names
 _WIDER = 0.25  # of a box's longer side: so far beside it are keypoints still its vehicle's
-_FARTHER = 0.5  # of an image's size: so far beyond its edges may those be of a vehicle that they cut off
 _EDGE = 0.02  # of an image's size: so near its edge ends the box of a vehicle that it cuts off
 _ENOUGH = 6  # keypoints from which on something can be said of their fit
 _FIT = 0.5  # weight from which one fits
 _FEW = 0.25  # of a vehicle's keypoints
+_SQUARE = 0.1  # by which fx and fy may differ: pixels are square
+_SCALES = 0.2, 0.25  # logarithms: how much less the sides' ratios differ, and how far they are from 1, of another size
+_WIDEST, _NARROWEST = 140.0, 8.0  # degrees: horizontal fields of view of cameras
+_LEANING, _ABOVE = math.radians(35.0), 0.35  # of results: tilt against the camera, and height over it by the distance
 
 _Array = NDArray[np.float64]
 
 
 class InputWarning(StrEnum):
-    """What is doubtful of a vehicle's keypoints."""
+    """What is doubtful of a vehicle's keypoints and of its camera."""
 
     UNITS = "units"
+    """All lie between 0 and 1."""
     BESIDE = "beside"
+    """Most lie beside the 2D box."""
     BEYOND = "beyond"
+    """Most lie far outside of the image."""
+    PRINCIPAL_POINT = "principal_point"
+    """That of the camera is outside of its image."""
+    OTHER_SIZE = "other_size"
+    """The camera's principal point is the middle of an image of another size."""
+    SQUARE = "square"
+    """The camera's pixels are far from square."""
+    FIELD_OF_VIEW = "field_of_view"
+    """Hardly a lens has the camera's."""
+    MIRRORED = "mirrored"
+    """They fit better with left and right exchanged."""
+    AIR = "air"
+    """The result is in the air, or leans by tens of degrees."""
     FIT = "fit"
-
-    @property
-    def sentence(self) -> str:
-        """What to say of the vehicles that it names at `{}`."""
-        return _SENTENCES[self.value]
+    """Hardly one fits the result."""
 
 
 _SENTENCES = {
     "units": "All keypoints of {} lie between 0 and 1, as parts of an image do. Give pixels.",
     "beside": "Most keypoints of {} lie beside the 2D box. Are u and v swapped, or is the box not x1, y1, x2, y2?",
     "beyond": "Most keypoints of {} lie far outside of the image. Are u and v swapped, or is it another image?",
+    "principal_point": "The principal point of the camera of {} is outside of the image. Are cx and cy exchanged, or "
+    "is K of another image or unit? (Of a part of an image it may be so: Camera.cropped, --crop.)",
+    "other_size": "The principal point of the camera of {} is the middle of an image of another size. Was the image "
+    "made smaller or larger? K has to be as well.",
+    "square": "fx and fy of the camera of {} differ by more than a tenth. Is their order fx, fy, cx, cy?",
+    "field_of_view": f"The camera of {{}} sees more than {_WIDEST:g} degrees or less than {_NARROWEST:g}, as hardly "
+    "one does. Is its focal length in pixels of this image?",
+    "mirrored": "The keypoints of {} fit better with left and right exchanged. Left and right are the vehicle's own; "
+    "or is the image mirrored?",
+    "air": "The results of {} are high up in the air, or lean by tens of degrees against the camera. Are the camera's "
+    "intrinsics right, and the image upright?",
     "fit": "Hardly a keypoint of {} fits. Is their order the category's, and are left and right the vehicle's own?",
 }
+
+
+_BEFORE = frozenset(InputWarning) - {InputWarning.MIRRORED, InputWarning.AIR, InputWarning.FIT}
+"""What is doubtful before a vehicle is solved, whose fit then says nothing more."""
+
+_SUMMED_UP: ContextVar[bool] = ContextVar("summed_up", default=False)
 
 
 @dataclass
@@ -56,7 +113,7 @@ class InputWarnings:
     """What is doubtful of any number of vehicles; keeps the first names and counts.
 
     Attributes:
-        judged: Vehicles whose fit could be judged.
+        judged: Vehicles with a result.
         counts: Vehicles by what is doubtful.
         names: The first of these.
     """
@@ -65,35 +122,80 @@ class InputWarnings:
     counts: Counter[InputWarning] = field(default_factory=Counter)
     names: dict[InputWarning, list[str]] = field(default_factory=dict)
 
-    def add(self, name: str, warning: InputWarning | None) -> None:
+    def add(self, name: str, doubt: InputWarning | None) -> None:
         """Count a vehicle."""
-        if warning is not None:
-            self.counts[warning] += 1
-            first = self.names.setdefault(warning, [])
+        if doubt is not None:
+            self.counts[doubt] += 1
+            first = self.names.setdefault(doubt, [])
             if len(first) < _NAMED:
                 first.append(name)
 
-    def add_fit(self, name: str, *, poorly: bool | None) -> None:
-        """Count how a vehicle fits, as `fits_poorly` says."""
-        self.judged += poorly is not None
-        self.add(name, InputWarning.FIT if poorly else None)
+    def add_result(self, name: str, observed: Observation, result: Reconstruction) -> None:
+        """Count a vehicle's result."""
+        self.judged += 1
+        self.add(name, result_warning_of(observed, result))
 
     def lines(self) -> list[str]:
-        """What to warn of; of the fit where nothing else is doubtful, and if it is that of most vehicles."""
-        kinds: list[InputWarning] = [
-            kind for kind in InputWarning if self.counts[kind] and kind is not InputWarning.FIT
-        ]
-        if not kinds and 2 * self.counts[InputWarning.FIT] > self.judged:
-            kinds = [InputWarning.FIT]
-        return [kind.sentence.format(self._vehicles(kind)) for kind in kinds]
+        """What to warn of; of results where nothing else is doubtful, and if it is that of most vehicles."""
+        shown = [doubt for doubt in InputWarning if self.counts[doubt] and doubt in _BEFORE]
+        if not shown:
+            shown = [doubt for doubt in InputWarning if 2 * self.counts[doubt] > self.judged and doubt not in _BEFORE]
+        return [_SENTENCES[doubt.value].format(self._named(doubt)) for doubt in shown]
 
-    def _vehicles(self, kind: InputWarning) -> str:
-        more = self.counts[kind] - len(self.names[kind])
-        return ", ".join(self.names[kind]) + (f" and {more} more" if more else "")
+    def _named(self, doubt: InputWarning) -> str:
+        more = self.counts[doubt] - len(self.names[doubt])
+        return ", ".join(self.names[doubt]) + (f" and {more} more" if more else "")
+
+
+@contextmanager
+def summed_up() -> Iterator[None]:
+    """Within it nothing is warned of: the caller says what is doubtful of all vehicles at once."""
+    before = _SUMMED_UP.set(True)
+    try:
+        yield
+    finally:
+        _SUMMED_UP.reset(before)
+
+
+def warn_of(doubts: InputWarnings, stacklevel: int) -> None:
+    """Warn a caller of Python.
+
+    Args:
+        doubts: What is doubtful of the vehicles of the call.
+        stacklevel: Of the caller, as `warnings.warn` has it in the function that calls this one.
+
+    Warns:
+        ContradictoryInputWarning: Something is, and nobody sums up.
+    """
+    if not _SUMMED_UP.get():
+        for line in doubts.lines():
+            warnings.warn(line, ContradictoryInputWarning, stacklevel=stacklevel + 1)
 
 
 def input_warning_of(observation: Observation, camera: Camera) -> InputWarning | None:
-    """What must be wrong with a vehicle's keypoints, if anything, before it is solved."""
+    """What must be wrong with a vehicle's keypoints or its camera, if anything, before it is solved."""
+    return _doubt_of_keypoints(observation, camera) or camera_warning_of(camera)
+
+
+def camera_warning_of(camera: Camera) -> InputWarning | None:
+    """What of a camera contradicts the size of its image, or itself."""
+    (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
+    if abs(fx / fy - 1.0) > _SQUARE and abs(fy / fx - 1.0) > _SQUARE:
+        return InputWarning.SQUARE
+    if camera.image_size is None or camera.cropped_from_larger:
+        return None
+    width, height = camera.image_size
+    if not (-0.5 <= cx <= width - 0.5 and -0.5 <= cy <= height - 0.5):
+        return InputWarning.PRINCIPAL_POINT
+    across, down = math.log(max(2.0 * cx, 1.0) / width), math.log(max(2.0 * cy, 1.0) / height)
+    alike, off = _SCALES
+    if abs(across - down) < alike and min(abs(across), abs(down)) > off:
+        return InputWarning.OTHER_SIZE
+    view = math.degrees(2.0 * math.atan(width / (2.0 * fx)))
+    return None if camera.focal_sigma or _NARROWEST < view < _WIDEST else InputWarning.FIELD_OF_VIEW
+
+
+def _doubt_of_keypoints(observation: Observation, camera: Camera) -> InputWarning | None:
     if not observation.measured.any():
         return None
     every = observation.keypoints[observation.measured]
@@ -108,22 +210,35 @@ def input_warning_of(observation: Observation, camera: Camera) -> InputWarning |
             beside &= ~_outside(points, np.zeros(2), size)
         if np.mean(beside) > 0.5:
             return InputWarning.BESIDE
-    if size is not None and np.mean(_outside(points, -_FARTHER * size, (1.0 + _FARTHER) * size)) > 0.5:
+    if size is not None and np.mean(_outside(points, -FARTHEST_OUTSIDE * size, (1.0 + FARTHEST_OUTSIDE) * size)) > 0.5:
         return InputWarning.BEYOND
     return None
 
 
-def fits_poorly(observation: Observation, weights: _Array) -> bool | None:
-    """Whether hardly a keypoint fits; None where they are too few to say.
+def result_warning_of(observation: Observation, result: Reconstruction) -> InputWarning | None:
+    """What must be wrong with a vehicle's keypoints or its camera, if anything, by its result."""
+    if result.diagnostics.mirrored_gain > MIRRORED_GAIN:
+        return InputWarning.MIRRORED
+    share = fit_share(observation, result.diagnostics.weights)
+    if share is not None and share < _FEW:
+        return InputWarning.FIT
+    pose = result.camera_T_object
+    if result.status.determined and np.isfinite(pose).all():
+        x, y, z = pose[:3, 3].tolist()
+        if pose[1, 1] < math.cos(_LEANING) or -y > _ABOVE * math.hypot(x, z):
+            return InputWarning.AIR
+    return None
+
+
+def fit_share(observation: Observation, weights: _Array) -> float | None:
+    """Share of the keypoints that fit; None where they are too few to say.
 
     Args:
         observation: What was observed.
         weights: (K,) of the result.
     """
     certain = _certain(observation)
-    if np.count_nonzero(certain) < _ENOUGH:
-        return None
-    return bool(np.mean(weights[certain] >= _FIT) < _FEW)
+    return float(np.mean(weights[certain] >= _FIT)) if np.count_nonzero(certain) >= _ENOUGH else None
 
 
 def _at_edge(box: _Array, size: _Array) -> bool:

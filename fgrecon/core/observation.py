@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -41,6 +41,7 @@ class Observation:
         azimuth: (A,) probability of each direction from the vehicle to the camera: bin a is centred at 2 pi a / A,
             0 ahead of the vehicle, pi / 2 to its left. It decides between poses that explain the keypoints alike. None
             where nobody says.
+        left_out: Sentences that say what of it was not used, and why.
     """
 
     keypoints: NDArray[np.float64]
@@ -49,6 +50,7 @@ class Observation:
     covariance: NDArray[np.float64] | None = None
     confidence_midpoint: float = 0.2
     azimuth: NDArray[np.float64] | None = None
+    left_out: tuple[str, ...] = ()
 
     __repr__ = brief_repr
 
@@ -129,28 +131,48 @@ class Observation:
         low = self.confidence < confidence
         return replace(self, keypoints=np.where(low[:, None], np.nan, self.keypoints)) if low.any() else self
 
-    def undistorted(self, camera: Camera) -> Observation:
-        """The observation freed of lens distortion; a keypoint where no ray of such a lens arrives is not measured.
+    def without(self, keypoints: NDArray[np.bool_], names: Sequence[str], why: str) -> Observation:
+        """The observation without some of its keypoints (K,), and the reason beside their names."""
+        if not keypoints.any():
+            return self
+        listed = ", ".join(name for name, out in zip(names, keypoints, strict=True) if out)
+        left_out = (*self.left_out, f"{listed}: left out, {why}.")
+        return replace(self, keypoints=np.where(keypoints[:, None], np.nan, self.keypoints), left_out=left_out)
+
+    def undistorted(self, camera: Camera, names: Sequence[str]) -> Observation:
+        """The observation freed of lens distortion.
+
+        A keypoint where no ray of such a lens arrives is not measured, and a box with such a corner is none: `left_out`
+        says so.
+
+        Args:
+            camera: The camera that took the image.
+            names: Of the keypoints.
 
         Raises:
-            InvalidInputError: The distortion cannot be undone at the box, or not at half of the measured keypoints.
+            InvalidInputError: The distortion cannot be undone at half of the measured keypoints.
         """
         if camera.distortion is None:
             return self
-        box, boxed = self.box, True
+        box, left_out = self.box, self.left_out
         if box is not None:
             corners, returns = camera.ideal_pixels(box.reshape(2, 2))
-            box, boxed = corners.ravel(), bool(returns.all() and (corners[1] - corners[0]).min() >= 1.0)
+            box = corners.ravel()
+            if not returns.all() or (corners[1] - corners[0]).min() < 1.0:
+                box, left_out = (
+                    None,
+                    (*left_out, "2D box: left out, the lens distortion cannot be undone at its corners."),
+                )
         keypoints, returns = camera.ideal_pixels(self.keypoints)
         lost = self.measured & ~returns
-        keypoints[lost] = np.nan
         left = keypoints[self.measured & ~lost]
         gone = bool(lost.any()) and len(left) < max(_FEWEST, int(np.count_nonzero(lost)))
         spread = float(np.ptp(self.keypoints[self.measured], axis=0).max()) if len(left) > 1 else 0.0
-        if not boxed or gone or (spread >= 1.0 > float(np.ptp(left, axis=0).max())):
-            fix = f"Give coefficients of this camera: they cannot be undone at the {'keypoints' if boxed else 'box'}."
+        if gone or (spread >= 1.0 > float(np.ptp(left, axis=0).max())):
+            fix = "Give coefficients of this camera: they cannot be undone at the keypoints."
             raise InvalidInputError("distortion", np.asarray(camera.distortion).tolist(), fix)
-        return replace(self, keypoints=keypoints, box=box)
+        ideal = replace(self, keypoints=np.where(lost[:, None], self.keypoints, keypoints), box=box, left_out=left_out)
+        return ideal.without(lost, names, "the lens distortion cannot be undone there")
 
     @property
     def right(self) -> NDArray[np.float64]:
@@ -160,10 +182,10 @@ class Observation:
 
     @property
     def extent(self) -> float:
-        """max(h, w) of the box in pixels, or of the measured keypoints where no box is given."""
+        """max(h, w) of the box in pixels, or of the measured keypoints of any confidence where no box is given."""
         if self.box is not None:
             return float(max(self.box[2] - self.box[0], self.box[3] - self.box[1]))
-        points = self.keypoints[self.measured]
+        points = self.keypoints[self.measured & (self.confidence > 0.0)]
         return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
 
 

@@ -163,6 +163,9 @@ class Diagnostics:
         graph: The factors of the graph at the result; empty where no history is kept.
         graph_iterations: Iterations that the graph's solver took from the proposal that led to the result.
         graph_gain: Nats that they took off its energy; NaN where the strategy defines none.
+        left_out: Sentences that say what of the observation was not used, and why.
+        mirrored_gain: Nats by which the keypoints fit better with left and right exchanged; NaN where they fit well, or
+            come from a network that knows the vehicle's direction, and nobody tried.
     """
 
     weights: NDArray[np.float64]
@@ -175,6 +178,8 @@ class Diagnostics:
     graph: Sequence[GraphFactor] = ()
     graph_iterations: int = 0
     graph_gain: float = float("nan")
+    left_out: tuple[str, ...] = ()
+    mirrored_gain: float = float("nan")
 
     __repr__ = brief_repr
 

@@ -79,6 +79,8 @@ FIELDS: Mapping[str, ResultField] = {
     "size_covariance": ResultField("uncertainty", shape=(3, 3), nullable=True, later=True),
     "regions": ResultField("uncertainty", Regions, later=True),
     "box_excess": ResultField("diagnostics", float, later=True),
+    "left_out": ResultField("diagnostics", tuple, later=True),
+    "mirrored_gain": ResultField("diagnostics", float, later=True),
 }
 """By name, in the order of files."""
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.input_warnings import InputWarnings, warn_of
 from fgrecon.core.observation import KeypointsLike
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
@@ -19,7 +20,8 @@ from fgrecon.core.size_prior import SizesLike
 from fgrecon.solve.facing import single_pose
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
-from fgrecon.solve.inputs import SolveSetup, as_extra_factors, as_initial, calibrated, observe
+from fgrecon.solve.inputs import SolveSetup, add_input_warnings, as_extra_factors, as_initial, calibrated, observe
+from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.result import results
 from fgrecon.solve.threads import single_threaded
 
@@ -71,12 +73,18 @@ def reconstruct(
     Raises:
         InvalidInputError: An argument cannot be used; names it, its value and the fix.
         DegenerateProblemError: The keypoints do not determine a pose.
+
+    Warns:
+        ContradictoryInputWarning: Keypoints, box, camera or result contradict one another.
     """
     setup = SolveSetup.of(prior, size_prior, options, ground)
     camera = calibrated("intrinsics", Camera.of(intrinsics, distortion))
     start, factors = as_initial(initial, setup.prior), as_extra_factors(extra_factors)
     given = {"confidence": confidence, "box": box, "covariance": covariance}
     observation = observe(keypoints, camera, setup.prior.category, setup.options, **given)
+    before = InputWarnings()
+    add_input_warnings(before, "the vehicle", keypoints, camera, setup, given=given)
+    warn_of(before, stacklevel=3)
 
     started = perf_counter()
     problem, pose = single_pose(observation, camera, setup, start)
@@ -84,4 +92,9 @@ def reconstruct(
     seen = [GraphObservation(problem)]
     adjusted = minimise_from_proposals(seen, [pose], factors)
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (perf_counter() - posed) * 1e3}
-    return results(seen, [pose], adjusted, milliseconds, factors)[0]
+    result = with_mirrored_gain(results(seen, [pose], adjusted, milliseconds, factors)[0], problem)
+    if not before.counts:
+        after = InputWarnings()
+        add_input_warnings(after, "the vehicle", keypoints, camera, setup, (observation, result), given)
+        warn_of(after, stacklevel=3)
+    return result

@@ -257,6 +257,7 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
             graph_iterations=end.optimum.iterations,
             graph_gain=end.optimum.gain,
             box_excess=excess,
+            left_out=problem.observation.left_out,
             **diagnostics,
         ),
     )

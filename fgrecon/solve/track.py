@@ -27,6 +27,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_list
 from fgrecon.core.deferred import Deferred
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.core.input_warnings import InputWarnings, warn_of
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction, Status
@@ -37,7 +38,8 @@ from fgrecon.solve.facing import single_pose
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.graph.records import graph_factors, joint_steps
-from fgrecon.solve.inputs import SolveSetup, as_cameras, as_extra_factors, observe
+from fgrecon.solve.inputs import SolveSetup, add_input_warnings, as_cameras, as_extra_factors, observe
+from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.result import results
 from fgrecon.solve.threads import single_threaded
@@ -93,6 +95,13 @@ def reconstruct_track(
     adjusted = minimise_from_proposals(seen, starts, factors, in_order=in_order)
     milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
     frames = results(seen, starts, adjusted, {}, factors)
+    frames = [with_mirrored_gain(one, part.problem) for part, one in zip(seen, frames, strict=True)]
+    _warn(
+        observations,
+        each,
+        setup,
+        {one.image: (one.problem.observation, r) for one, r in zip(seen, frames, strict=True)},
+    )
     status, message = _status(frames, refused)
     optimum = adjusted.optimum
     keep = setup.options.keep_history and optimum.failure is None
@@ -107,6 +116,20 @@ def reconstruct_track(
         graph=Deferred(lambda: graph_factors(adjusted.graph, optimum.state.weights)) if keep else (),
         milliseconds=milliseconds,
     )
+
+
+def _warn(
+    observations: Sequence[Observation | None],
+    cameras: Sequence[Camera],
+    setup: SolveSetup,
+    solved: Mapping[int, tuple[Observation, Reconstruction]],
+) -> None:
+    """Warn of what is doubtful of the images, which are called by their numbers."""
+    doubts = InputWarnings()
+    for number, (given, camera) in enumerate(zip(observations, cameras, strict=True)):
+        if given is not None:
+            add_input_warnings(doubts, f"image {number}", given, camera, setup, solved.get(number))
+    warn_of(doubts, stacklevel=4)
 
 
 def _posed(

@@ -22,6 +22,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.half_turn import flipped_alternative
+from fgrecon.core.input_warnings import InputWarnings, warn_of
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import GraphFactor, Reconstruction, rotation_y
@@ -32,7 +33,15 @@ from fgrecon.solve.box_check import box_excess, boxes_off
 from fgrecon.solve.facing import couple_facings
 from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, look_at_vehicles
 from fgrecon.solve.graph.records import graph_factors
-from fgrecon.solve.inputs import SolveSetup, as_camera_pose, as_ground, as_motion_covariance, calibrated, observe
+from fgrecon.solve.inputs import (
+    SolveSetup,
+    add_input_warnings,
+    as_camera_pose,
+    as_ground,
+    as_motion_covariance,
+    calibrated,
+    observe,
+)
 from fgrecon.solve.result import marginalise, results
 from fgrecon.solve.road import CameraFrame, Road
 from fgrecon.solve.solve_settings import ROAD
@@ -221,11 +230,14 @@ class Tracker:
         """The observations as they are solved from, and why others cannot be used."""
         found: dict[int, Observation] = {}
         refused: dict[int, FgreconError] = {}
+        doubts = InputWarnings()
         for name, given in observations.items():
+            add_input_warnings(doubts, f"vehicle {name}", given, camera, self._setup)
             try:
                 found[name] = observe(given, camera, self._setup.prior.category, self._setup.options)
             except FgreconError as error:
                 refused[name] = error
+        warn_of(doubts, stacklevel=5)
         coupled = couple_facings([*found.values()], camera, self._setup.prior, self._setup.options, rows=False)
         return dict(zip(found, coupled, strict=True)), refused
 

@@ -19,7 +19,7 @@ from fgrecon.batch.parts import refuse_batch
 from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
-from fgrecon.core.input_warnings import InputWarnings, fits_poorly, input_warning_of
+from fgrecon.core.input_warnings import InputWarnings, camera_warning_of, input_warning_of, summed_up
 from fgrecon.core.text import counted
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.export.formats import export_rows
@@ -333,7 +333,7 @@ def track_video(
         moving=job.moving,
         window_graph=tracker.window_graph if isinstance(tracker, Tracker) and window_graph else None,
     )
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), summed_up():
         warnings.simplefilter("ignore", UncoveredFramesWarning)  # said below
         run = run_video(
             job.source,
@@ -356,16 +356,17 @@ def track_video(
 
 
 def _keypoint_warnings(job: VideoJob, run: VideoRun) -> list[str]:
-    """What to warn of keypoints that were given."""
-    if job.given is None or not job.given.complete:  # boxes alone, in which the network has detected them
-        return []
+    """What to warn of keypoints that were given, and of the camera."""
     doubts = InputWarnings()
+    if job.given is None or not job.given.complete:  # boxes alone, in which the network has detected them
+        doubts.add(job.request.source, camera_warning_of(job.camera))
+        return doubts.lines()
     for frame in run.frames:
         for identity, seen in frame.observations.items():
             name = f"{identity} in {frame.name}"
             doubts.add(name, input_warning_of(seen, job.camera))
             if (estimate := frame.estimates.get(identity)) is not None:
-                doubts.add_fit(name, poorly=fits_poorly(seen, estimate.reconstruction.diagnostics.weights))
+                doubts.add_result(name, seen, estimate.reconstruction)
     return doubts.lines()
 
 
