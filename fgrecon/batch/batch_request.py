@@ -71,11 +71,13 @@ def reconstruct_files(request: BatchRequest, report: Callable[[Tally], None] = l
         names=None if request.names is None else parse_names(request.names, settings.prior.category),
         weights=request.weights,
         threads=1,
+        scale_to_image=source.scale_to_image,
     )
     folder_of = settings_to_dict(settings) | {
         "camera": None if camera is None else camera_to_dict(camera),
         "weights": None if request.weights is None else str(request.weights),
         **({} if request.names is None else {"names": request.names}),
+        **({"scale_to_image": True} if source.scale_to_image else {}),
     }
     for name, file in (("prior", settings.prior_file), ("weights", request.weights), ("names", request.names)):
         if (content := content_hash(None if file is None else Path(file))) is not None:

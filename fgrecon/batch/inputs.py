@@ -167,7 +167,8 @@ def _count_records(source: InputFile) -> int:
 
 def _record_rows(source: InputFile) -> Iterator[Row]:
     for number, item in enumerate(keypoint_records(source.path, source.category)):
-        yield {"row_id": f"{source.path}#{number}", "instance": json.dumps(item)}
+        content = {"problem": str(item)} if isinstance(item, FgreconError) else {"instance": json.dumps(item)}
+        yield {"row_id": f"{source.path}#{number}", **content}
 
 
 def _count_parquet(source: InputFile) -> int:

@@ -71,6 +71,7 @@ class Reconstructor:
         names: NamesLike | None = None,
         weights: str | Path | None = None,
         threads: int | None = None,
+        scale_to_image: bool = False,
     ) -> None:
         """Take the settings; nothing is loaded.
 
@@ -83,6 +84,8 @@ class Reconstructor:
             options: Settings; histories are not kept.
             names: What the keypoints are called, as `fgrecon.keypoints_from` takes it; None where they tell themselves.
             weights: Keypoint network; None for the shipped one.
+            scale_to_image: Whether keypoints are scaled to the camera's image where a row states another size of the
+                same shape.
             threads: Threads that OpenCV and what runs the networks use from the first image on; None leaves them as
                 they are.
 
@@ -93,7 +96,7 @@ class Reconstructor:
         self._camera = None if camera is None else Camera.of(camera)
         self._size, self._names = size_prior, names
         self._options = replace(checked_options(options), keep_history=False)
-        self._weights, self._threads = weights, threads
+        self._weights, self._threads, self._scale_to_image = weights, threads, scale_to_image
         self._pictures = Pictures()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -158,9 +161,14 @@ class Reconstructor:
         category = self.prior.category
         record = nested(record_of(task), category.size)
         named = isinstance(record, dict) and record.get("id") is not None
-        for vehicle, instance in enumerate(parse_any_keypoints(record, category, self._known_names).instances):
+        file = parse_any_keypoints(record, category, self._known_names)
+        unknown = "".join(f" Left out: {error}" for error in file.unknown)
+        for vehicle, instance in enumerate(file.instances):
             name = instance.name if named or vehicle or isinstance(record, list) else str(origin["row_id"])
-            yield self._vehicle(origin, vehicle, name, instance, self._camera or instance.camera)
+            row = self._vehicle(origin, vehicle, name, instance, self._camera or instance.camera)
+            yield row | ({"message": f"{row['message']}{unknown}"} if unknown and "message" in row else {})
+        for error in file.left_out:
+            yield failed_row(origin, error)
 
     def _vehicle(self, origin: Row, vehicle: int, name: str, instance: Instance, camera: Camera | None) -> Row:
         """The row of one vehicle."""
@@ -170,6 +178,9 @@ class Reconstructor:
         try:
             if camera is None:
                 raise InvalidInputError("intrinsics", "nothing", "Give K with the row, or a camera for all of them.")
+            instance = instance.fitted(camera.image_size, scale=self._scale_to_image)
+            if camera.image_size is None:
+                camera = replace(camera, image_size=instance.image_size)
             seen = instance.observation
             doubt = input_warning_of(seen, camera)
             result = reconstruct(

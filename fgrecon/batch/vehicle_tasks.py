@@ -28,6 +28,7 @@ from fgrecon.perception.protocols import check_category
 
 __all__ = [
     "KeypointRequest",
+    "ReadTasks",
     "VehicleTask",
     "Watch",
     "detect_in_boxes",
@@ -74,9 +75,29 @@ class VehicleTask:
             return None
 
 
+@dataclass(frozen=True)
+class ReadTasks:
+    """The vehicles of a file.
+
+    Attributes:
+        tasks: They, at least one.
+        ignored: Names of fields that mean nothing to fgrecon.
+        left_out: Why vehicles, or keypoints that the category does not have, were left out.
+    """
+
+    tasks: list[VehicleTask]
+    ignored: tuple[str, ...] = ()
+    left_out: tuple[InvalidInputError, ...] = ()
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was left out, a line each."""
+        return [f"Left out: {error}" for error in self.left_out]
+
+
 def read_tasks(
     path: Path, category: Category, source: CameraSource, names: str | None = None, image: str | None = None
-) -> tuple[list[VehicleTask], tuple[str, ...]]:
+) -> ReadTasks:
     """The vehicles of a file of keypoints, of any format, or of a track.
 
     Args:
@@ -87,14 +108,16 @@ def read_tasks(
         image: File name of the photograph, whose vehicles are taken; None for all.
 
     Returns:
-        The vehicles, and names of fields that mean nothing to fgrecon.
+        The vehicles.
 
     Raises:
-        InvalidInputError: The file is malformed, or a vehicle has no camera.
+        InvalidInputError: The file is malformed, a vehicle has no camera, or states an image of another size than the
+            camera's or the picture's.
     """
     refuse_other_file(path)
     offset = None
     ignored: tuple[str, ...] = ()
+    left_out: tuple[InvalidInputError, ...] = ()
     data = None if path.suffix.lower() in NOT_JSON else read_json(path)
     is_track = isinstance(data, dict) and "frames" in data and "keypoints" not in data
     if is_track:
@@ -105,7 +128,7 @@ def read_tasks(
             if data is None
             else parse_any_keypoints(data, category, names, image, where=f"{path}: ")
         )
-        instances, ignored = list(file.instances), file.ignored
+        instances, ignored, left_out = list(file.instances), file.ignored, (*file.left_out, *file.unknown)
     camera_of = cache(source.camera)
     tasks = []
     for instance in instances:
@@ -117,8 +140,12 @@ def read_tasks(
                 "intrinsics", value, "Give a camera file or intrinsics (--camera, --intrinsics), or K in the file."
             )
         complete = source.complete(camera, declared=given is None and not is_track)
+        if source.crop is None or source.image is not None:
+            instance = instance.fitted(complete.image_size, scale=source.scale_to_image)
+            if complete.image_size is None:
+                complete = replace(complete, image_size=instance.image_size)
         tasks.append(VehicleTask(instance, complete, offset if given is None else given_offset))
-    return tasks, ignored
+    return ReadTasks(tasks, ignored, left_out)
 
 
 def _track_instances(data: object, path: Path, category: Category) -> tuple[list[Instance], NDArray[np.float64]]:
@@ -184,6 +211,9 @@ def image_tasks(
             seen.box,
             seen.covariance,
             detection.azimuth,
+            track=item.track,
+            kind=item.kind,
+            score=item.score,
         )
         tasks.append(VehicleTask(instance, complete, offset, how.box_model or item.model))
     return tasks

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, NamesOption, SceneOptions, WeightsOption
+from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, NamesOption, ScaleOption, SceneOptions, WeightsOption
 from fgrecon.cli.terminal import Screen, Terminal, compact_table
 from fgrecon.core.choices import BoxModel
 
@@ -30,6 +30,7 @@ class BatchOptions:
     ] = BoxModel.SURFACE
     names: NamesOption = None
     weights: WeightsOption = None
+    scale_to_image: ScaleOption = False
     jobs: Annotated[int, typer.Option(min=1, help="Processes; with --ray actors at most.")] = 1
     ray: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Work on a Ray cluster: its address, or auto.")] = (
         None
@@ -68,8 +69,9 @@ def batch_command(
 
     screen = terminal.screen()
     settings = scene.settings(Options(strategy=scene.strategy, box=options.box_model, keep_history=False))
-    rest = {name: value for name, value in vars(options).items() if name != "box_model"}
-    request = BatchRequest(inputs, out, settings, camera.source(), **rest)
+    rest = {name: value for name, value in vars(options).items() if name not in ("box_model", "scale_to_image")}
+    source = camera.source(scale_to_image=options.scale_to_image)
+    request = BatchRequest(inputs, out, settings, source, **rest)
     with screen.bar() as advance:
         tally = reconstruct_files(request, lambda tally: advance("Rows", tally.done, tally.total))
     if code := _report(tally, out, screen):

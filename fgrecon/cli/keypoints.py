@@ -43,12 +43,15 @@ def detect_command(
     check_outputs(json_out, picture=picture)
     screen = terminal.screen(json_out)
     pixels = read_image(image)
-    named = boxes.choose(image, pixels)
+    named = boxes.choose(image, pixels).cars
     names = [item.name for item in named]
     category = load_category("car14")
     found = detect_in_boxes(pixels, named, KeypointRequest(category, boxes.weights), screen.watch)
     screen.print(_table(names, found, category.keypoints, verbose=screen.verbose))
-    instances = [_instance(name, d) for name, d in zip(names, found, strict=True)]
+    instances = [
+        _instance(item.name, d) | {n: v for n in ("kind", "score", "track") if (v := getattr(item, n)) is not None}
+        for item, d in zip(named, found, strict=True)
+    ]
     screen.write_json(json.dumps({"instances": instances}, indent=1) + "\n")
     if picture is not None:
         from fgrecon.viz.detections import detection_sheet

@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.core.box3d import BoxErrors
     from fgrecon.core.camera import Ground
     from fgrecon.core.options import Options
-    from fgrecon.io.boxes import NamedBox
+    from fgrecon.io.boxes import FileBoxes
     from fgrecon.io.cameras.camera_source import CameraSource
     from fgrecon.io.kitti_drives import Drive
     from fgrecon.io.run_settings import RunSettings
@@ -149,6 +149,15 @@ TogetherOption = Annotated[
 ]
 
 
+ScaleOption = Annotated[
+    bool,
+    typer.Option(
+        "--scale-to-image",
+        help="Scale keypoints and boxes where their file states another size of the image, of the same shape.",
+    ),
+]
+
+
 @dataclass(frozen=True)
 class CameraOptions:
     """The camera, where the input does not say."""
@@ -170,8 +179,11 @@ class CameraOptions:
         ),
     ] = None
 
-    def source(self) -> CameraSource:
+    def source(self, *, scale_to_image: bool = False) -> CameraSource:
         """The camera as the library takes it.
+
+        Args:
+            scale_to_image: Whether keypoints and boxes of a file of another size are scaled to the image's.
 
         Raises:
             InvalidInputError: A value is none, or several ways are used.
@@ -190,6 +202,7 @@ class CameraOptions:
             else parse_numbers("distortion", self.distortion, distortion, (4, 5, 8, 12, 14)),
             file=self.camera,
             crop=None if self.crop is None else parse_crop(self.crop),
+            scale_to_image=scale_to_image,
         )
 
 
@@ -327,7 +340,7 @@ class LabelledScene:
 
 @dataclass(frozen=True)
 class VehicleBoxes:
-    """Where the cars of an image are, and the network that finds their keypoints."""
+    """Where the cars of an image are (else the detector finds them), and the network that finds their keypoints."""
 
     box: Annotated[
         list[str] | None,
@@ -355,21 +368,23 @@ class VehicleBoxes:
     ] = None
     weights: WeightsOption = None
 
-    def choose(self, path: Path, image: NDArray[Any]) -> list[NamedBox]:
-        """The cars of an image.
+    def choose(self, path: Path, image: NDArray[Any], *, scale_to_image: bool = False) -> FileBoxes:
+        """The cars of an image; found by the detector where nobody says where they are.
 
         Args:
             path: The image's file.
             image: (H, W, 3) its pixels.
+            scale_to_image: Whether boxes of a file are scaled to the image.
 
         Raises:
-            InvalidInputError: Not exactly one of the ways is given, a box is none, or there is no car.
+            InvalidInputError: Several of the ways are given, a box is none, or there is no car.
         """
         from fgrecon.perception.boxes import boxes_of
 
         given = [parse_numbers("box", text, "x1,y1,x2,y2: four numbers in pixels", (4,)) for text in self.box or ()]
-        search = image if self.detect else None
-        return boxes_of(path, given, self.boxes, search, (image.shape[1], image.shape[0]), self.min_score)
+        search = image if self.detect or not (given or self.boxes) else None
+        size = image.shape[1], image.shape[0]
+        return boxes_of(path, given, self.boxes, search, size, self.min_score, scale_to_image=scale_to_image)
 
     def refuse(self) -> None:
         """Refuse what means nothing for a keypoint file.

@@ -16,6 +16,7 @@ from fgrecon.cli.options import (
     HistoryOption,
     JsonOption,
     NamesOption,
+    ScaleOption,
     SceneOptions,
     VehicleBoxes,
 )
@@ -26,6 +27,7 @@ from fgrecon.core.errors import InvalidInputError
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.core.category import Category
     from fgrecon.core.vehicle_mesh import VehicleMesh
+    from fgrecon.io.cameras.camera_source import CameraSource
     from fgrecon.io.run_settings import RunSettings
 
 __all__ = ["CarModels", "Drawings", "ReconstructRequest", "Results", "Solving"]
@@ -135,6 +137,7 @@ class Results:
             show_default="together in an image, apart in a keypoint file",
         ),
     ] = None
+    scale_to_image: ScaleOption = False
     jobs: Annotated[int, typer.Option(min=1, help="Processes; for thousands of vehicles see `fgrecon batch`.")] = 1
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="For images: a results file NAME.json for each of them.")
@@ -160,6 +163,10 @@ class ReconstructRequest:
     delivery: Delivery
     car_models: CarModels
     results: Results
+
+    def source(self) -> CameraSource:
+        """What is given of the camera."""
+        return self.camera.source(scale_to_image=self.results.scale_to_image)
 
     def check(self) -> None:
         """Refuse before the work what could not be written or drawn after it.

@@ -121,21 +121,27 @@ def _read(
     if _is_image(file):
         return _read_photograph(file, request, settings, screen), ()
     request.boxes.refuse()
-    source, image = request.camera.source(), request.drawings.image
+    source, image = request.source(), request.drawings.image
     if image is not None:
         pixels, exif = read_photograph(image, source.whole)
         source = replace(source, image=pixels, exif=exif)
     names = request.results.names
-    tasks, ignored = read_tasks(file, settings.prior.category, source, names, None if image is None else image.name)
-    return _Photograph(file, tasks, source), ignored
+    read = read_tasks(file, settings.prior.category, source, names, None if image is None else image.name)
+    for line in read.warnings:
+        screen.warn(line)
+    return _Photograph(file, read.tasks, source), read.ignored
 
 
 def _read_photograph(path: Path, request: ReconstructRequest, settings: RunSettings, screen: Screen) -> _Photograph:
-    source = request.camera.source()
+    source = request.source()
     pixels, exif = read_photograph(path, source.whole)
     source = replace(source, image=pixels, exif=exif)
     how = KeypointRequest(settings.prior.category, request.boxes.weights, request.solving.box_model)
-    tasks = image_tasks(path, source, request.boxes.choose(path, pixels), how, screen.watch)
+    found = request.boxes.choose(path, pixels, scale_to_image=source.scale_to_image)
+    if others := found.other_vehicles:
+        listed = ", ".join(f"{count} {kind}" for kind, count in others.most_common())
+        screen.note(f"{path.name}: left out {listed}, which {settings.prior.category.name} does not cover.")
+    tasks = image_tasks(path, source, found.cars, how, screen.watch)
     return _Photograph(path, tasks, source)
 
 
@@ -215,7 +221,7 @@ def reconstruct_each(files: Sequence[Path], request: ReconstructRequest, screen:
     request.check_jobs(of_image=True, several=True)
     _refuse_of_one(request)
     work = _Work(request, settings, models, targets, screen)
-    if request.results.same_camera and request.camera.source().given:
+    if request.results.same_camera and request.source().given:
         raise InvalidInputError("same_camera", "beside a camera", "Leave it out: the focal length is known.")
     for photograph in work.photographs_same_camera() if request.results.same_camera else work.photographs():
         work.deliver(*photograph)

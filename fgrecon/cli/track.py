@@ -15,6 +15,7 @@ from fgrecon.cli.options import (
     HistoryOption,
     JsonOption,
     NamesOption,
+    ScaleOption,
     SceneOptions,
 )
 from fgrecon.cli.outputs import check_outputs
@@ -38,6 +39,7 @@ class TrackOptions:
     ] = None
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw a sheet of all images.")] = None
     names: NamesOption = None
+    scale_to_image: ScaleOption = False
     json_out: JsonOption = None
     history: HistoryOption = False
 
@@ -67,7 +69,8 @@ def track_command(
     scene, delivery = options.scene, options.delivery
     keep = options.history or delivery.requested
     settings = scene.settings(Options(strategy=scene.strategy, box=options.box_model, keep_history=keep))
-    source, images, names = options.camera.source(), options.images, options.names
+    images, names = options.images, options.names
+    source = options.camera.source(scale_to_image=options.scale_to_image)
     solved = [track_report.solve(file, source, settings, images, names) for file in screen.watch(files, "Tracks")]
     solved = track_report.distinguished(solved)
 
@@ -75,7 +78,7 @@ def track_command(
     for track in solved:
         screen.print(f"{track.name}: {track.result.status.value}: {track.result.message}")
         screen.detail(*track_report.details(track))
-        for line in input_warnings(track.tasks):
+        for line in (*track.left_out, *input_warnings(track.tasks)):
             screen.warn(f"{track.name}: {line}")
     screen.write_json(track_report.document(solved, settings, history=options.history))
     if options.picture is not None:

@@ -65,6 +65,7 @@ class Solved:
         sight: What it was solved from.
         result: The result.
         alone: Results of the images one by one, aligned with those of the track; empty without labels.
+        left_out: What was left out of the file, a line each.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Solved:
     sight: TrackInputs
     result: TrackReconstruction
     alone: tuple[Reconstruction | None, ...]
+    left_out: tuple[str, ...] = ()
 
     @property
     def recording(self) -> Recording:
@@ -101,7 +103,8 @@ def solve(
     Raises:
         InvalidInputError: The file is malformed, or an image is missing.
     """
-    tasks, _ = read_tasks(file, settings.prior.category, source, names)
+    read = read_tasks(file, settings.prior.category, source, names)
+    tasks = read.tasks
     labelled = _labels(file, settings)
     frames = [(task.instance.name, task.instance.frame) for task in tasks]
     labels = [name if frame is None else str(frame) for name, frame in frames]
@@ -120,7 +123,7 @@ def solve(
     quiet = replace(settings, options=replace(settings.options, keep_history=False))
     solved = [tasks[index] for index in result.numbers] if truths is not None else []
     alone = tuple(solve_task(task, quiet).result for task in solved)
-    return Solved(whole_text(file.stem), file, tuple(tasks), sight, result, alone)
+    return Solved(whole_text(file.stem), file, tuple(tasks), sight, result, alone, tuple(read.warnings))
 
 
 def distinguished(tracks: Sequence[Solved]) -> list[Solved]:

@@ -20,8 +20,18 @@ from itertools import pairwise
 from pathlib import Path
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.images import IMAGES
 
-__all__ = ["DEFAULT_RATE", "OrderedImages", "distinct_names", "frames_by_name", "number_of", "seconds_of", "times_of"]
+__all__ = [
+    "DEFAULT_RATE",
+    "OrderedImages",
+    "distinct_names",
+    "frames_by_name",
+    "number_of",
+    "of_one_image",
+    "seconds_of",
+    "times_of",
+]
 
 DEFAULT_RATE = 10.0
 """Frames per second of images whose names tell no time, where nobody says."""
@@ -103,3 +113,23 @@ def distinct_names(paths: Sequence[Path]) -> tuple[str, ...]:
         return own
     above = os.path.commonpath([path.parent for path in paths])
     return tuple(path.relative_to(above).as_posix() for path in paths)
+
+
+def of_one_image(names: Iterable[str], image: str) -> set[str]:
+    """Those of the names that mean an image: with or without its ending; else numbers that differ by zeros before them.
+
+    Args:
+        names: As files have them; folders before them do not matter.
+        image: Name of the image, with its ending or without.
+    """
+    known = set(names)
+    forms = _forms(image)
+    same = {name for name in known if _forms(name) & forms}
+    numbers = {form.lstrip("0") for form in forms if form.isdecimal()}
+    return same or {name for name in known if numbers & {form.lstrip("0") for form in _forms(name) if form.isdecimal()}}
+
+
+def _forms(name: str) -> set[str]:
+    """The name of an image as it is, and without the ending of an image's file."""
+    path = Path(name)
+    return {path.name} | ({path.stem} if path.suffix.lower() in IMAGES else set())

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import whole_text
 
-__all__ = ["Fields", "numbers", "parse_json", "read_json", "read_toml", "within"]
+__all__ = ["Fields", "numbers", "parse_json", "plain_id", "read_json", "read_toml", "within"]
 
 _SURROGATE = re.compile(r"\\u[dD][89abAB-Fc-f]")
 _FLOATS = {float}
 _LARGEST = 2**63 - 1
+_DIGITS = 19  # of an id that is a number
 _ARTICLES = {int: "an integer", str: "a text", list: "a list", dict: "an object"}
 
 
@@ -138,7 +139,8 @@ class Fields:
         Raises:
             InvalidInputError: It is missing, no integer, or out of range.
         """
-        value: int = self.get(field, int)
+        given = self.data.get(field)
+        value: int = int(given) if isinstance(given, float) and given.is_integer() else self.get(field, int)
         if not least <= value <= _LARGEST:
             raise InvalidInputError(f"{self.where}{field}", value, f"Give an integer from {least} to {_LARGEST}.")
         return value
@@ -153,6 +155,19 @@ class Fields:
         if field not in self.data:
             raise InvalidInputError(f"{self.where}{field}", "nothing", "Give this field.")
         return numbers(self.data[field], shape, f"{self.where}{field}", missing=missing)
+
+
+def plain_id(value: Any) -> int | str | None:
+    """An id whatever way it is written: 1, 1.0 and "1" are one; None where it is none."""
+    if isinstance(value, str) and (text := value.strip()):
+        number = text.removesuffix(".0")
+        plain = number.isascii() and number.isdecimal() and (number == "0" or number[0] != "0")
+        return int(number) if plain and len(number) < _DIGITS else text
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    if isinstance(value, float):
+        return int(value) if value.is_integer() else None
+    return value
 
 
 def numbers(value: Any, shape: tuple[int, ...], field: str, *, missing: bool = False) -> NDArray[np.float64]:

@@ -22,14 +22,14 @@ The file holds one instance, a list of instances, or an object with `instances` 
 `confidence` and `covariance` may be given by name as well. The camera, for one instance or shared: `K` (3 x 3) or
 `intrinsics` (fx, fy, cx, cy), and with it `distortion` (OpenCV's coefficients) and `image_size` (width, height).
 
-The structure of the whole file is checked on reading. Whether an instance's numbers make sense (enough points, a box of
-some size) is for `fgrecon.reconstruct` to say, so that one bad detection does not stop the others.
+The structure of each instance is checked on reading; one that is malformed is left out, and said so, where another is
+not. Whether an instance's numbers make sense (enough points, a box of some size) is for `fgrecon.reconstruct` to say.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +42,9 @@ from fgrecon.core.category import Category
 from fgrecon.core.checks import one_word
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
+from fgrecon.io.image_size import scale_between
 from fgrecon.io.images import IMAGES
-from fgrecon.io.json_fields import Fields, numbers, read_json
+from fgrecon.io.json_fields import Fields, numbers, plain_id, read_json
 from fgrecon.io.lens_fields import check_unused, read_distortion, read_size
 from fgrecon.io.video_frames import VIDEOS
 
@@ -100,6 +101,7 @@ class Instance:
         track: Id of the vehicle through the frames of a video, or None.
         kind: What it is, one word such as `Van`, which results repeat; or None.
         score: How sure its detector is, which exports repeat; or None.
+        image_size: Width and height in pixels that the file states of its image, or None.
     """
 
     name: str
@@ -116,6 +118,28 @@ class Instance:
     track: int | None = None
     kind: str | None = None
     score: float | None = None
+    image_size: tuple[int, int] | None = None
+
+    def fitted(self, size: tuple[int, int] | None, *, scale: bool = False) -> Instance:
+        """The same in pixels of an image of a size, which is the camera's or the picture's; None where it is not known.
+
+        Args:
+            size: Width and height in pixels.
+            scale: Whether points may be scaled, where the file states another size of the same shape.
+
+        Raises:
+            InvalidInputError: The file states another size, and scaling is not requested or the shapes differ.
+        """
+        ratio = np.array(scale_between(self.image_size, size, f"instance {self.name}: image_size", scale=scale))
+        if (ratio == 1.0).all():
+            return self
+        return replace(
+            self,
+            keypoints=(self.keypoints + 0.5) * ratio - 0.5,
+            box=None if self.box is None else self.box * np.tile(ratio, 2),
+            covariance=None if self.covariance is None else self.covariance * np.outer(ratio, ratio),
+            image_size=size,
+        )
 
     @property
     def observation(self) -> Observation:
@@ -136,10 +160,14 @@ class KeypointFile:
     Attributes:
         instances: At least one, with distinct names.
         ignored: Names of fields that mean nothing to fgrecon.
+        left_out: Why instances were left out, each with its place.
+        unknown: Keypoints of instances that the category does not have, which were left out, with their places.
     """
 
     instances: tuple[Instance, ...]
     ignored: tuple[str, ...]
+    left_out: tuple[InvalidInputError, ...] = ()
+    unknown: tuple[InvalidInputError, ...] = ()
 
 
 def read_keypoints(path: Path, category: Category) -> KeypointFile:
@@ -160,40 +188,68 @@ def parse_keypoints(data: Any, category: Category, where: str = "") -> KeypointF
     """Check the content of a file and turn it into instances.
 
     Args:
-        data: What the JSON file holds.
+        data: What the JSON file holds; the error in the place of an instance that cannot be used.
         category: The category whose keypoints it holds.
         where: Put in front of every field that an error names.
 
     Raises:
-        InvalidInputError: A field is missing or of the wrong kind, or these are results.
+        InvalidInputError: These are results, or no instance can be used: a field is missing or of the wrong kind.
     """
     refuse_results(data, where)
-    records, camera, ignored = [data], None, set[str]()
+    records, camera, size, ignored = [data], None, None, set[str]()
     if isinstance(data, list):
         records = data
     elif isinstance(data, Mapping) and "instances" in data:
         fields = Fields(data, where)
-        records, camera = fields.get("instances", list), parse_camera(fields)
+        records, camera, size = fields.get("instances", list), parse_camera(fields), _stated_size(fields)
         ignored |= set(data) - _FILE_FIELDS
     if not records:
         raise InvalidInputError(f"{where}instances", records, "Give at least one instance.")
-    instances: dict[str, Instance] = {}
+    instances, left_out, unknown = dict[str, Instance](), list[InvalidInputError](), list[InvalidInputError]()
     for position, record in enumerate(records):
         place = where if record is data else f"{where}instance {position}: "
-        instance = _instance(Fields(record, place), str(position), category, camera)
-        if instance.name in instances:
-            raise InvalidInputError(f"{place}id", instance.name, "Give every instance an id of its own.")
-        instances[instance.name] = instance
+        try:
+            if isinstance(record, InvalidInputError):
+                raise record
+            fields = Fields(record, place)
+            instance = _instance(fields, str(position), category, camera)
+            if instance.name in instances:
+                raise InvalidInputError(f"{place}id", instance.name, "Give every instance an id of its own.")
+        except InvalidInputError as error:
+            left_out.append(error)
+            continue
+        instances[instance.name] = instance if instance.image_size else replace(instance, image_size=size)
         ignored |= set(record) - _INSTANCE_FIELDS - _DETECTOR_FIELDS
-    return KeypointFile(tuple(instances.values()), tuple(sorted(ignored)))
+        if names := _unknown_keypoints(record["keypoints"], category):
+            unknown.append(InvalidInputError(f"{place}keypoints", ", ".join(names), _names_fix(category)))
+    if not instances:
+        raise left_out[0]
+    return KeypointFile(tuple(instances.values()), tuple(sorted(ignored)), tuple(left_out), tuple(unknown))
+
+
+def _stated_size(fields: Fields) -> tuple[int, int] | None:
+    """Width and height in pixels that a file or an instance states of its image."""
+    named = {"image_size": fields.data["image_size"]} if "image_size" in fields else {}
+    return read_size(Fields(named, fields.where))
+
+
+def _unknown_keypoints(given: Any, category: Category) -> list[str]:
+    """Names among those given that are no keypoint of the category."""
+    return [str(name) for name in given if name not in category.keypoints] if isinstance(given, Mapping) else []
+
+
+def _names_fix(category: Category) -> str:
+    ours = ", ".join(category.keypoints)
+    return f"Use the keypoints of {category.name} ({ours}), say which one it is by `names` (--names), or take it out."
 
 
 def _instance(fields: Fields, name: str, category: Category, camera: Camera | None) -> Instance:
     if "id" in fields:
         identity = fields.data["id"]
-        if isinstance(identity, bool) or not isinstance(identity, str | int) or identity == "":
+        number = plain_id(identity)
+        if number is None:
             raise InvalidInputError(f"{fields.where}id", identity, "Give a text or an integer.")
-        name = str(identity)
+        name = identity if isinstance(identity, str) else str(number)
     keypoints, confidence = _keypoints(fields, category)
     midpoint = fields.numbers("confidence_midpoint", ()) if "confidence_midpoint" in fields else None
     return Instance(
@@ -211,6 +267,7 @@ def _instance(fields: Fields, name: str, category: Category, camera: Camera | No
         track=_track(fields),
         kind=one_word(fields.where + "kind", fields.get("kind", str)) if "kind" in fields else None,
         score=float(fields.numbers("score", ())) if "score" in fields else None,
+        image_size=_stated_size(fields),
     )
 
 
@@ -250,16 +307,12 @@ def _per_keypoint(fields: Fields, field: str, category: Category, shape: tuple[i
             fix = f"Give one for each of the {category.size} keypoints of {category.name}, or give them by name."
             raise InvalidInputError(place, f"{len(given)} elements", fix)
         return fields.numbers(field, (category.size, *shape), missing=True)
-    unknown = [str(name) for name in given if name not in category.keypoints]
-    if unknown:  # and not left out: it may be a typing error, which would lose a keypoint
-        ours = ", ".join(category.keypoints)
-        fix = (
-            f"Use the keypoints of {category.name} ({ours}), say which one it is by `names` (--names), or take it out."
-        )
-        raise InvalidInputError(place, ", ".join(unknown), fix)
+    unknown = _unknown_keypoints(given, category)
+    if given and len(unknown) == len(given):
+        raise InvalidInputError(place, ", ".join(unknown), _names_fix(category))
     array = np.full((category.size, *shape), np.nan)
     for name, value in given.items():
-        if value is not None:
+        if value is not None and name in category.keypoints:
             array[category.index(name)] = numbers(value, shape, f"{place}.{name}", missing=True)
     return array
 
@@ -288,9 +341,8 @@ def parse_camera(fields: Fields) -> Camera | None:
     """
     matrices = [name for name in ("K", "intrinsics") if name in fields]
     if not matrices:
-        alone = [name for name in ("distortion", "image_size") if name in fields]
-        if alone:
-            raise InvalidInputError(f"{fields.where}{alone[0]}", fields.data[alone[0]], "Give K beside it.")
+        if "distortion" in fields:
+            raise InvalidInputError(f"{fields.where}distortion", fields.data["distortion"], "Give K beside it.")
         return None
     if len(matrices) > 1:
         raise InvalidInputError(f"{fields.where}intrinsics", fields.data["intrinsics"], "Give either K or intrinsics.")

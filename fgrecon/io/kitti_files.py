@@ -33,6 +33,7 @@ __all__ = [
 ]
 
 DETECTION_CLASSES = {"1": "Pedestrian", "2": "Car", "3": "Cyclist"}
+_DETECTION_NUMBERS = {name.lower(): number for number, name in DETECTION_CLASSES.items()}
 """Numbers of the classes in detection files."""
 
 LABEL_COLUMNS = 15
@@ -140,6 +141,8 @@ def parse_object(line: str, *, scored: bool = False) -> tuple[str, list[float]]:
 def parse_detection(line: str) -> DetectionLine:
     """A line `image class score x1 y1 x2 y2` of a file of detections; the image's name may hold spaces.
 
+    The class is a number, or the name of one without regard to capitals.
+
     A box model (`detected`) may stand behind it, in each line: files of detections are joined and parts taken out.
 
     Raises:
@@ -148,10 +151,11 @@ def parse_detection(line: str) -> DetectionLine:
     numbers, _, last = line.rstrip().rpartition(" ")
     model = BoxModel(last) if last in set(BoxModel) else None
     words = (line if model is None else numbers).rsplit(maxsplit=_DETECTION_COLUMNS - 1)
-    if len(words) != _DETECTION_COLUMNS or not words[1].isdecimal():
+    if len(words) != _DETECTION_COLUMNS or not (words[1].isdecimal() or words[1].lower() in _DETECTION_NUMBERS):
         raise ValueError(f"'{line}' is not: image, class, score, x1, y1, x2, y2")
     score, *box = _finite(words[2:], line)
-    return DetectionLine(words[0].strip(), words[1], score, box, model)
+    label = _DETECTION_NUMBERS.get(words[1].lower(), words[1])
+    return DetectionLine(words[0].strip(), label, score, box, model)
 
 
 def _finite(words: Sequence[str], line: str) -> list[float]:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel, Options, checked_options
-from fgrecon.io.boxes import NamedBox, read_boxes
+from fgrecon.io.boxes import FileBoxes, NamedBox, boxes_in
 from fgrecon.perception.keypoints.detect import large_enough
 from fgrecon.perception.protocols import VehicleDetector, find_vehicles
 from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles
@@ -29,7 +29,9 @@ def boxes_of(
     search: NDArray[Any] | None = None,
     size: tuple[int, int] | None = None,
     least_score: float | None = None,
-) -> list[NamedBox]:
+    *,
+    scale_to_image: bool = False,
+) -> FileBoxes:
     """The boxes given one by one, those of a file, or those that a detector finds.
 
     Args:
@@ -39,6 +41,7 @@ def boxes_of(
         search: (H, W, 3) the image's pixels, to be searched for cars; or None.
         size: Width and height of the image, which some files' boxes are parts of; or None.
         least_score: Boxes of a lower score are left out; None for what suits their source.
+        scale_to_image: Whether boxes of a file are scaled to the image where it states another size of one shape.
 
     Raises:
         InvalidInputError: Several or none of these are given, or there is no car in this image.
@@ -53,14 +56,15 @@ def boxes_of(
         found = detected_boxes(search, least_score)
         if not found:
             raise InvalidInputError("detect", str(image), "No car was found in it; give its box (`given`, --box).")
-        return found
+        return FileBoxes(found)
     if file is None:
         corners = [as_finite(f"box[{number}]", box, (4,)) for number, box in enumerate(given)]
-        return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(corners)]
-    found = read_boxes(file, str(image.absolute().parent / image.stem), size, least_score)
-    if not found:
-        raise InvalidInputError("boxes", str(file), f"Give a file with a car in image {image.stem}.")
-    return found
+        return FileBoxes([NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(corners)])
+    place = str(image.absolute().parent / image.stem)
+    boxes = boxes_in(file, place, size, least_score, scale_to_image=scale_to_image)
+    if not boxes.cars:
+        raise InvalidInputError("boxes", str(file), f"Give a file with a car in image {image.stem}; {boxes.left_out}.")
+    return boxes
 
 
 def detected_boxes(image: NDArray[Any], least_score: float | None = None) -> list[NamedBox]:
@@ -72,7 +76,10 @@ def detected_boxes(image: NDArray[Any], least_score: float | None = None) -> lis
         InvalidInputError: The image is none, or this installation has no detector.
     """
     detector = None if least_score is None else partial(NanodetVehicleDetector(), least_score=least_score)
-    return [NamedBox(str(number), box, BoxModel.DETECTED) for number, box in enumerate(find_boxes(image, detector))]
+    found = large_vehicles(image, NanodetVehicleDetector() if detector is None else detector)
+    kinds = found.kinds or (None,) * len(found.boxes)
+    rows = enumerate(zip(found.boxes, found.scores.tolist(), kinds, strict=True))
+    return [NamedBox(str(n), box, BoxModel.DETECTED, score, kind=kind) for n, (box, score, kind) in rows]
 
 
 def for_detected(options: Options | None) -> Options:

@@ -101,7 +101,7 @@ def test_an_image_is_reconstructed_with_a_warning_about_the_camera(street, weigh
         (["--box", "10,10,14,14"], "box 0"),
         (["--box", "500,10,600,90"], "box 0"),
         (["--box", "10,10,90"], "box"),
-        ([], "box"),
+        ([], "detect"),
     ],
 )
 def test_boxes_that_cannot_be_used(street, weights, arguments, field):

@@ -13,6 +13,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Status
 from fgrecon.io.export import FORMATS, NamedResult, export, read_results
+from fgrecon.io.export.dataset_results import kitti_text
 from fgrecon.io.export.formats import export_rows
 from fgrecon_research.io.kitti_sets import parse_objects
 from tests.results import changed
@@ -143,6 +144,36 @@ def test_kitti_lines_are_in_the_label_frame(cars, refused, tmp_path):
     x, _, z = objects.location.T
     np.testing.assert_allclose(np.cos(objects.alpha), np.cos(objects.rotation_y - np.arctan2(x, z)), atol=1e-3)
     assert ((objects.score > 0) & (objects.score <= 1)).all()
+
+
+def boxed(result, camera):
+    """The box that KITTI's line of a result has."""
+    objects, _ = parse_objects(kitti_text([NamedResult("a", result, camera=camera)]), "a", scored=True)
+    return objects.box[0]
+
+
+def test_a_box_is_that_of_the_surface_cut_at_the_image(cars):
+    """Not of the keypoints, which are inside of the outline and may be beyond the image."""
+    result, camera = cars[0].result, replace(make_example(0).camera, image_size=None)
+    ahead = in_camera(result, result.shape.surface_vertices)
+    pixels = camera.project(ahead)
+    np.testing.assert_allclose(boxed(result, camera), [*pixels.min(axis=0), *pixels.max(axis=0)], atol=1e-2)
+    middle = int(pixels[:, 0].mean()) + 1
+    cut = boxed(result, replace(camera, image_size=(middle, 1000)))
+    assert cut[2] == middle - 1
+    assert cut[0] == pytest.approx(pixels[:, 0].min(), abs=1e-2)
+
+
+def test_a_box_of_a_car_that_the_camera_is_beside_ends_at_the_near_plane(cars):
+    result, camera = cars[0].result, replace(make_example(0).camera, image_size=(1242, 375))
+    pose = np.array(result.camera_T_object)
+    surface = result.shape.surface_vertices @ pose[:3, :3].T
+    behind = 1.0 - surface[:, 2].min() - 2.0  # it begins 1 m behind the camera, half a metre to the left
+    pose[:3, 3] = [-0.5 - surface[:, 0].min(), 1.6, behind]
+    box = boxed(changed(result, camera_T_object=pose), camera)
+    assert box[2] == 1241
+    assert 0 <= box[0] < 1241
+    assert box[3] == 374
 
 
 def test_kittis_file_is_of_one_image(cars, refused, tmp_path):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.options import BoxModel
-from fgrecon.io.boxes import read_boxes
+from fgrecon.io.boxes import boxes_in, read_boxes
 from fgrecon.perception.boxes import boxes_of
 
 from .formats import spoilt, write
@@ -77,7 +77,7 @@ def test_images_of_one_name_are_told_apart_by_their_folders_or_refused(tmp_path)
     for image, left in (("B/left/1", 2), ("/data/A/left/1", 1), ("12", 3)):
         (box,) = read_boxes(path, image)
         assert box.corners[0] == left
-    (box,) = boxes_of(tmp_path / "B/left/1.jpg", [], path)
+    (box,) = boxes_of(tmp_path / "B/left/1.jpg", [], path).cars
     assert box.corners[0] == 2
     for image in ("1", "left/1", "C/left/1"):
         with pytest.raises(InvalidInputError, match=r"got 1, which is A/left/1\.jpg and B/left/1\.jpg"):
@@ -188,3 +188,62 @@ def test_what_is_no_line_of_a_tracker_names_the_line(tmp_path, line):
     path = write(tmp_path / "a.txt", f"2 0.5 0.5 0.1 0.1 0.9 3\n{line}\n")
     with pytest.raises(InvalidInputError, match=r"a\.txt:2: got "):
         read_boxes(path, "a", SIZE)
+
+
+@pytest.mark.parametrize("kind", ["car", "Car", "CAR"])
+def test_names_of_classes_without_regard_to_capitals(tmp_path, kind):
+    label = write(tmp_path / "a.txt", OBJECT.replace("Car", kind))
+    assert [box.kind for box in read_boxes(label, "a")] == [kind]
+    line = write(tmp_path / "d.txt", f"a.png {kind} 0.9 1 2 3 4")
+    assert [box.kind for box in read_boxes(line, "a")] == ["Car"]
+    content = coco_of("a.jpg") | {"categories": [{"id": "3.0", "name": kind}]}
+    assert [box.kind for box in read_boxes(write(tmp_path / "c.json", content), "a")] == [kind]
+
+
+@pytest.mark.parametrize("number", [1, 1.0, "1"])
+def test_ids_are_alike_whatever_way_they_are_written(tmp_path, number):
+    content = coco_of("a.jpg") | {"images": [{"id": number, "file_name": "a"}]}
+    assert len(read_boxes(write(tmp_path / "c.json", content), "a")) == 1
+    results = [{"image_id": name, "category_id": 3.0, "bbox": [1, 2, 3, 4]} for name in ("a.png", "b.png", 1)]
+    path = write(tmp_path / "r.json", results)
+    assert len(read_boxes(path, "a")) == len(read_boxes(path, "b")) == len(read_boxes(path, "000001")) == 1
+
+
+def test_where_there_is_no_car_it_is_said_what_there_is(tmp_path):
+    entries = [
+        {"image_id": 0, "category_id": 2, "bbox": [1, 2, 3, 4]},
+        {"image_id": 0, "category_id": 3, "bbox": [1, 2, 3, 4], "score": 0.2},
+        *({"image_id": number, "category_id": 3, "bbox": [1, 2, 3, 4]} for number in (4, 5)),
+    ]
+    path = write(tmp_path / "r.json", entries)
+    with pytest.raises(InvalidInputError) as caught:
+        boxes_of(tmp_path / "000000.png", [], path)
+    for part in ("1 with a score below", "1 of other classes (bicycle)", "2 of other images (4, 5)"):
+        assert part in caught.value.fix
+
+
+def test_other_vehicles_are_counted(tmp_path):
+    lines = [OBJECT.replace("Car", kind) for kind in ("Car", "Van", "Van", "Truck", "Pedestrian")]
+    found = boxes_in(write(tmp_path / "a.txt", "\n".join(lines)), "a")
+    assert dict(found.other_vehicles) == {"Van": 2, "Truck": 1}
+    assert len(found.cars) == 1
+
+
+def test_class_score_and_track_of_coco(tmp_path):
+    path = write(tmp_path / "c.json", coco_of("a.jpg", score=0.75, track_id=7))
+    assert [(box.kind, box.score, box.track) for box in read_boxes(path, "a")] == [("car", 0.75, 7)]
+
+
+def test_boxes_of_a_resized_picture_are_refused_or_scaled(tmp_path):
+    def stated(width, height):
+        content = coco_of("a.jpg")
+        content["images"][0] |= {"width": width, "height": height}
+        return write(tmp_path / "c.json", content)
+
+    assert read_boxes(stated(1000, 400), "a", SIZE)[0].corners.tolist() == [1, 2, 4, 6]
+    for width, height in ((500, 200), (640, 640)):
+        with pytest.raises(InvalidInputError, match=f"{width} x {height} pixels.*1000 x 400"):
+            read_boxes(stated(width, height), "a", SIZE)
+    assert read_boxes(stated(500, 200), "a", SIZE, scale_to_image=True)[0].corners.tolist() == [2, 4, 8, 12]
+    with pytest.raises(InvalidInputError, match="640 x 640"):
+        read_boxes(stated(640, 640), "a", SIZE, scale_to_image=True)

@@ -121,14 +121,14 @@ def test_fields_without_a_meaning_are_listed():
 )
 def test_a_malformed_instance_names_file_instance_and_field(tmp_path, record, field):
     file = tmp_path / "cars.json"
-    for content, place in (
-        (record, f"{file}: "),
-        ([{"keypoints": POINTS}, record], f"{file}: instance 1: "),
-    ):
-        file.write_text(json.dumps(content))
-        with pytest.raises(InvalidInputError) as error:
-            read_keypoints(file, CATEGORY)
-        assert error.value.field == f"{place}{field}"
+    file.write_text(json.dumps(record))
+    with pytest.raises(InvalidInputError) as error:
+        read_keypoints(file, CATEGORY)
+    assert error.value.field == f"{file}: {field}"
+    file.write_text(json.dumps([{"keypoints": POINTS}, record]))
+    found = read_keypoints(file, CATEGORY)
+    assert [one.name for one in found.instances] == ["0"], "the others are not lost with it"
+    assert [one.field for one in found.left_out] == [f"{file}: instance 1: {field}"]
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,6 @@ def test_a_malformed_instance_names_file_instance_and_field(tmp_path, record, fi
         ({"instances": {}}, "instances"),
         (7, "file"),
         (["a"], "instance 0"),
-        ([{"keypoints": POINTS, "id": "1"}, {"keypoints": POINTS}], "instance 1: id"),
         ({"K": 5, "instances": [{"keypoints": POINTS}]}, "K"),
     ],
 )
@@ -147,6 +146,13 @@ def test_a_malformed_file(data, field):
     with pytest.raises(InvalidInputError) as error:
         parse_keypoints(data, CATEGORY)
     assert error.value.field == field
+
+
+def test_an_id_twice_leaves_the_second_out():
+    for second in ({"keypoints": POINTS}, {"keypoints": POINTS, "id": 1.0}):
+        found = parse_keypoints([{"keypoints": POINTS, "id": "1"}, second], CATEGORY)
+        assert [one.name for one in found.instances] == ["1"]
+        assert [one.field for one in found.left_out] == ["instance 1: id"]
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe", b"[" * 100_000], ids=["empty", "{", "bytes", "deep"])

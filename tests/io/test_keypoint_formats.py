@@ -216,12 +216,22 @@ SPOILT = coco(labelled(), keypoint_probability=[0.9] * 14)
 )
 def test_malformed_coco_is_one_line(tmp_path, change, field):
     content = json.loads(json.dumps(SPOILT))
+    del content["annotations"][1:]  # the others of a file are not lost with one
     change(content)
     path = write(tmp_path / "c.json", content)
     with pytest.raises(InvalidInputError, match=field) as caught:
         read_any_keypoints(path, CATEGORY)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
+
+
+def test_a_malformed_annotation_leaves_the_others():
+    content = json.loads(json.dumps(SPOILT))
+    content["annotations"].append(json.loads(json.dumps(content["annotations"][0])) | {"id": 77})
+    content["annotations"][0]["keypoints"].pop()
+    found = parse_any_keypoints(content, CATEGORY)
+    assert "77" in [one.name for one in found.instances]
+    assert "annotations[0].keypoints" in [error.field for error in found.left_out]
 
 
 @pytest.mark.parametrize(
@@ -268,3 +278,26 @@ def test_no_text_ends_in_another_exception(tmp_path_factory, lines):
     path = tmp_path_factory.getbasetemp() / "fuzz.txt"
     with contextlib.suppress(FgreconError):
         read_any_keypoints(write(path, "\n".join(lines)), CATEGORY)
+
+
+def test_the_size_of_the_image_that_coco_states():
+    content = coco(labelled())
+    (instance, _) = parse_any_keypoints(content, CATEGORY).instances
+    assert (instance.image_size, instance.kind) == ((1242, 375), "car")
+    assert instance.fitted((1242, 375)) is instance.fitted(None) is instance
+    with pytest.raises(InvalidInputError, match=r"1242 x 375 pixels.*2484 x 750 pixels.*scale_to_image"):
+        instance.fitted((2484, 750))
+    twice = instance.fitted((2484, 750), scale=True)
+    np.testing.assert_allclose(twice.keypoints, 2 * instance.keypoints + 0.5)
+    np.testing.assert_allclose(twice.box, 2 * instance.box)
+    with pytest.raises(InvalidInputError, match=r"1242 x 375 pixels.*640 x 640"):
+        instance.fitted((640, 640), scale=True)
+
+
+@pytest.mark.parametrize("number", [1.0, "1"])
+def test_ids_of_coco_are_alike_whatever_way_they_are_written(number):
+    content = coco(labelled())
+    content["images"][0]["id"] = content["annotations"][0]["image_id"] = number
+    content["annotations"][0] |= {"category_id": 3.0, "id": 11.0, "score": 0.5, "track_id": 4}
+    instance = parse_any_keypoints(content, CATEGORY).instances[0]
+    assert (instance.name, instance.image, instance.score, instance.track) == ("11", "a/street.jpg", 0.5, 4)

@@ -16,7 +16,7 @@ LABEL = "0.00 0 1.5 10.0 20.0 30.0 40.0 1.5 1.6 4.0 1 2 20 1.5"
 
 
 def test_given_boxes_are_outlines(tmp_path):
-    (box,) = boxes_of(tmp_path / "a.png", [[1, 2, 30, 40]], None)
+    (box,) = boxes_of(tmp_path / "a.png", [[1, 2, 30, 40]], None).cars
     assert (box.name, box.model) == ("0", BoxModel.SURFACE)
     np.testing.assert_array_equal(box.corners, [1, 2, 30, 40])
 
@@ -53,7 +53,7 @@ def test_boxes_of_low_score_are_left_out_where_asked(tmp_path, monkeypatch):
     detections.write_text("".join(f"a.png 2 {score} 1 2 3 4\n" for score in (0.2, 0.6, 0.9)))
     for file, counts in ((kitti, (3, 3, 2)), (coco, (3, 4, 2)), (yolo, (2, 3, 1)), (detections, (2, 3, 1))):
         for least, count in zip((None, 0.1, 0.7), counts, strict=True):
-            assert len(boxes_of(tmp_path / "a.png", [], file, size=(100, 100), least_score=least)) == count
+            assert len(boxes_of(tmp_path / "a.png", [], file, size=(100, 100), least_score=least).cars) == count
     asked = []
     found = Vehicles(np.array([[10.0, 10, 90, 60]]), np.ones(1))
     monkeypatch.setattr(

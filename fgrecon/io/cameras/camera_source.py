@@ -45,6 +45,8 @@ class CameraSource:
         crop: Part of another image that the photograph is; the camera is given for the whole image.
         image: (H, W, 3) photograph, whose size counts.
         exif: The camera that the photograph's file has (`fgrecon.io.exif`), where nothing else is given.
+        scale_to_image: Whether keypoints and boxes of a file that states another size of the image, of the same shape,
+            are scaled to the camera's or the photograph's.
     """
 
     calib: Path | None = None
@@ -54,6 +56,7 @@ class CameraSource:
     crop: PartOfImage | None = None
     image: NDArray[np.uint8] | None = None
     exif: Camera | None = None
+    scale_to_image: bool = False
 
     def __post_init__(self) -> None:
         """Refuse intrinsics beside a KITTI calibration.

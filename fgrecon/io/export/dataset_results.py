@@ -11,15 +11,16 @@ import numpy as np
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import box_around, transform
+from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import wrap_angle
-from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, info_of, quaternion, score
+from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, image_box, info_of, quaternion, score
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.kitti_files import Objects, format_results
 
 __all__ = ["coco_results_text", "kitti_objects", "kitti_text", "nuscenes_text"]
 
 _UNKNOWN = -1.0  # KITTI's mark
+_KITTI_KINDS = {kind.lower(): kind for kind in ("Car", "Van", "Truck", "Tram", "Misc")}
 _COCO_CATEGORY = 1
 _VISIBLE_PROBABILITY = 0.5  # keypoints above it have COCO's flag of visible ones
 _META = {"use_camera": True, "use_lidar": False, "use_radar": False, "use_map": False, "use_external": True}
@@ -76,9 +77,9 @@ def kitti_objects(results: Sequence[NamedResult]) -> Objects:
     """One object per vehicle with a pose: kind, box, size, location in the label frame, yaw and score.
 
     Where the offset of the label frame is not known, the location is in the camera's.
-    The kind is its detector's, else `Car`. The 2D box is the observed one, else that of the projected wireframe. The
-    score is its detector's, else the mean weight of the keypoints that the pose shows: it tells how much of what should
-    be seen was found where it should be.
+    The kind is its detector's, else `Car`. The 2D box is the observed one, else that of the projected surface, cut at
+    the image's edges. The score is its detector's, else the mean weight of the keypoints that the pose shows: it tells
+    how much of what should be seen was found where it should be.
 
     Raises:
         InvalidInputError: The vehicles are of several images, each of which has a file of its own in KITTI.
@@ -89,7 +90,7 @@ def kitti_objects(results: Sequence[NamedResult]) -> Objects:
         fix = "Write a file for each image (fgrecon.io.export.export): KITTI's lines do not tell it. Or give .csv."
         raise InvalidInputError("results", value, fix)
     rows = [_row(item) for item in solved]
-    kinds = [item.kind or "Car" for item in solved]
+    kinds = [_KITTI_KINDS.get((item.kind or "Car").lower(), item.kind or "Car") for item in solved]
     return Objects.of_rows(kinds, np.array(rows))
 
 
@@ -100,8 +101,7 @@ def _row(item: NamedResult) -> list[float]:
     length, width, height = result.box_size
     yaw = result.rotation_y
     alpha = float(wrap_angle(yaw - np.arctan2(x, z)))
-    box = box_around(result.pose.wireframe_uv) if item.box is None else item.box
-    return [_UNKNOWN, _UNKNOWN, alpha, *box, height, width, length, x, y, z, yaw, score(item)]
+    return [_UNKNOWN, _UNKNOWN, alpha, *image_box(item), height, width, length, x, y, z, yaw, score(item)]
 
 
 def coco_results_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
@@ -127,7 +127,8 @@ def _coco_entry(item: NamedResult, image: int | str) -> dict[str, Any]:
     result = item.result
     flags = np.where(result.diagnostics.visibility >= _VISIBLE_PROBABILITY, 2, 1)
     pixels = result.pose.wireframe_uv
-    low, high = (pixels.min(axis=0), pixels.max(axis=0)) if item.box is None else (item.box[:2], item.box[2:])
+    box = image_box(item)
+    low, high = box[:2], box[2:]
     return {
         "image_id": image,
         "category_id": _COCO_CATEGORY,

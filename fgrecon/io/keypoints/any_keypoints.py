@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
+from fgrecon.io.frame_names import of_one_image
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, KeypointFile, parse_keypoints, refuse_other_file
 from fgrecon.io.keypoints.coco_records import annotation_records, is_annotations, is_result, result_records
@@ -20,7 +22,7 @@ from fgrecon.io.keypoints.translate import translated
 
 __all__ = ["keypoints_from", "parse_any_keypoints", "read_any_keypoints"]
 
-_Records = Iterable[tuple[Mapping[str, Any], str]]
+_Records = Iterable[tuple[Mapping[str, Any] | InvalidInputError, str]]
 
 
 def read_any_keypoints(
@@ -117,20 +119,30 @@ def _plain(given: Any) -> Any:
 
 def _parsed(records: _Records, category: Category, names: Names | None, image: str | None, where: str) -> KeypointFile:
     """Instances of another program, in the layout of a keypoint file but for their names."""
-    ours, unused = [], set[str]()
+    ours, unused, left_out = [], set[str](), list[InvalidInputError]()
     for record, place in records:
-        instance, unknown = translated(record, category, names, place)
+        try:
+            if isinstance(record, InvalidInputError):
+                raise record
+            instance, unknown = translated(record, category, names, place)
+        except InvalidInputError as error:
+            left_out.append(error)
+            continue
         ours.append(instance)
         unused |= unknown
+    if not ours and left_out:
+        raise left_out[0]
     if not ours:
         fix = f"Give a file with keypoints of {category.name}: {', '.join(category.keypoints)}."
         raise InvalidInputError(f"{where}keypoints", "no labelled keypoint", fix)
-    return _with_unused(_of_this(parse_keypoints(ours, category, where), image, where), unused)
+    file = _of_this(parse_keypoints(ours, category, where), image, where)
+    return _with_unused(replace(file, left_out=(*left_out, *file.left_out)), unused)
 
 
 def _with_unused(file: KeypointFile, unused: set[str]) -> KeypointFile:
     """The same, with the names of points that are no keypoint of the category."""
-    return KeypointFile(file.instances, (*file.ignored, *(f"keypoint {name}" for name in sorted(unused - _expected()))))
+    more = {f"keypoint {name}" for name in unused - _expected()}
+    return replace(file, ignored=tuple(sorted({*file.ignored, *more})))
 
 
 @lru_cache
@@ -150,7 +162,10 @@ def _own(data: Any, category: Category, names: Names | None, where: str) -> tupl
         ours = len(points) == category.size if isinstance(points, list) else _are_ours(points, category)
         if names is None and ours:
             return record
-        changed, unknown = translated(record, category, names, place)
+        try:
+            changed, unknown = translated(record, category, names, place)
+        except InvalidInputError as error:  # of this instance alone: its reader says so
+            return error
         unused.update(unknown)
         return changed
 
@@ -172,14 +187,10 @@ def _of_this(file: KeypointFile, image: str | None, where: str) -> KeypointFile:
     """The instances of one photograph, where they say of which they are."""
     if image is None or all(instance.image is None for instance in file.instances):
         return file
-    stem = Path(image).stem
-    kept = tuple(i for i in file.instances if i.image is None or _same(Path(i.image).stem, stem))
+    same = of_one_image((i.image for i in file.instances if i.image is not None), image)
+    kept = tuple(i for i in file.instances if i.image is None or i.image in same)
     if not kept:
         known = sorted({str(i.image) for i in file.instances})
-        raise InvalidInputError(f"{where}image", image, f"Give one of the file's images, such as {known[0]}.")
-    return KeypointFile(kept, file.ignored)
-
-
-def _same(one: str, other: str) -> bool:
-    """Whether two names of images are one; numbers may have leading zeros."""
-    return one == other or (one.isdecimal() and other.isdecimal() and one.lstrip("0") == other.lstrip("0"))
+        more = f" and {len(known) - 1} more" if len(known) > 1 else ""
+        raise InvalidInputError(f"{where}image", image, f"Give one of the file's images, such as {known[0]}{more}.")
+    return replace(file, instances=kept)

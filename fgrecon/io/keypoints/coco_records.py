@@ -8,6 +8,7 @@ is not found. A flag 2 becomes the confidence 1, a flag 1 that of a point as lik
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,14 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.io.json_fields import Fields
+from fgrecon.io.json_fields import Fields, plain_id
 from fgrecon.io.keypoints.names import Names, order_of
+from fgrecon.io.lens_fields import read_size
 
 __all__ = ["annotation_records", "is_annotations", "is_result", "result_records"]
 
 Record = dict[str, Any]
+_Id = int | str
 _FLAGS = {0.0: None, 1.0: Observation.confidence_midpoint, 2.0: 1.0}
 _PARTS_OF_SCHEMES = 24, 66  # points of OpenPifPaf's cars
 _PROBABLE = 0.5
@@ -38,42 +41,58 @@ def is_result(record: Any) -> bool:
     return isinstance(points, list) and bool(points) and all(isinstance(item, int | float) for item in points)
 
 
-def annotation_records(data: Mapping[str, Any], where: str) -> Iterator[tuple[Record, str]]:
+def annotation_records(data: Mapping[str, Any], where: str) -> Iterator[tuple[Record | InvalidInputError, str]]:
     """Instances of COCO's annotations in the layout of a keypoint file, and what errors about each begin with.
 
-    Crowds and instances without a labelled keypoint are left out.
+    Crowds and instances without a labelled keypoint are left out; one that is malformed is the error that says so.
 
     Args:
         data: The file's content.
         where: What errors begin with.
 
     Raises:
-        InvalidInputError: A field is missing or malformed; names it.
+        InvalidInputError: A field of categories or images is missing or malformed; names it.
     """
     top = Fields(data, where)
-    layouts = _layouts(top)
+    kinds = _kinds(top)
     images = {}
     for number, item in enumerate(top.get("images", list) if "images" in top else []):
         image = Fields(item, f"{where}images[{number}].")
         images[_key(image, "id")] = image
     for number, item in enumerate(top.get("annotations", list)):
-        fields = Fields(item, f"{where}annotations[{number}].")
-        if "keypoints" not in fields or fields.data.get("iscrowd") == 1:
+        place = f"{where}annotations[{number}]."
+        try:
+            record = _annotation(Fields(item, place), kinds, images)
+        except InvalidInputError as error:
+            yield error, place
             continue
-        kind = fields.get("category_id", int)
-        if kind not in layouts:
-            continue
-        record = _record(fields, layouts[kind], labelled=True)
-        if record["keypoints"]:
-            picture = images.get(_key(fields, "image_id")) if "image_id" in fields else None
-            record |= _extra(fields, layouts[kind]) | ({} if picture is None else _picture(picture))
-            record["id"] = _key(fields, "id") if "id" in fields else number
-            yield record, fields.where
+        if record is not None:
+            yield {"id": number} | record, place
+
+
+def _annotation(fields: Fields, kinds: Mapping[_Id, _Kind], images: Mapping[_Id, Fields]) -> Record | None:
+    """An annotation as an instance; None where it has no keypoint, or of no vehicle."""
+    if "keypoints" not in fields or fields.data.get("iscrowd") == 1:
+        return None
+    if (number := _key(fields, "category_id")) not in kinds:
+        known = ", ".join(map(str, kinds)) or "none"
+        raise InvalidInputError(f"{fields.where}category_id", number, f"Give one of the file's categories: {known}.")
+    kind = kinds[number]
+    if not kind.keypoints:
+        return None
+    record = _record(fields, kind.keypoints, labelled=True)
+    if not record["keypoints"]:
+        return None
+    picture = images.get(_key(fields, "image_id")) if "image_id" in fields else None
+    record |= _extra(fields, kind.keypoints) | ({} if picture is None else _picture(picture))
+    if kind.name:
+        record["kind"] = kind.name
+    return record | ({"id": _key(fields, "id")} if "id" in fields else {})
 
 
 def result_records(
     data: Sequence[Any], category: Category, names: Names | None, where: str
-) -> Iterator[tuple[Record, str]]:
+) -> Iterator[tuple[Record | InvalidInputError, str]]:
     """Instances of a list of COCO's results, or of OpenPifPaf's predictions; see `annotation_records`.
 
     OpenPifPaf's boxes are the extent of the points that it found, not of the car, and are left out.
@@ -83,36 +102,45 @@ def result_records(
         category: The category whose keypoints are wanted.
         names: What the user says of the points, which have no names here.
         where: What errors begin with.
-
-    Raises:
-        InvalidInputError: A field is missing or malformed, or nobody knows which points these are.
     """
     for number, item in enumerate(data):
-        fields = Fields(item, f"{where}[{number}].")
-        count = len(fields.get("keypoints", list)) // 3
-        order = order_of(count, category, names, f"{fields.where}keypoints")
-        record = _record(fields, order, labelled=False)
-        if "image_id" in fields:
-            record["image"] = str(_key(fields, "image_id"))
-        elif count in _PARTS_OF_SCHEMES:
-            record.pop("box", None)
-        yield record | {"id": number}, fields.where
+        place = f"{where}[{number}]."
+        try:
+            fields = Fields(item, place)
+            count = len(fields.get("keypoints", list)) // 3
+            order = order_of(count, category, names, f"{fields.where}keypoints")
+            record = _record(fields, order, labelled=False)
+            if "image_id" in fields:
+                record["image"] = str(_key(fields, "image_id"))
+            elif count in _PARTS_OF_SCHEMES:
+                record.pop("box", None)
+            yield record | {"id": number}, place
+        except InvalidInputError as error:
+            yield error, place
 
 
-def _layouts(top: Fields) -> dict[int, tuple[str, ...]]:
-    """Keypoint names of each category that has any."""
-    layouts = {}
+@dataclass(frozen=True)
+class _Kind:
+    """A category of the file: its name as one word, and the names of its keypoints."""
+
+    name: str
+    keypoints: tuple[str, ...]
+
+
+def _kinds(top: Fields) -> dict[_Id, _Kind]:
+    """The categories; of one without keypoints no annotation is read."""
+    kinds: dict[_Id, _Kind] = {}
     for number, item in enumerate(top.get("categories", list)):
         kind = Fields(item, f"{top.where}categories[{number}].")
-        if "keypoints" in kind:
-            names = kind.get("keypoints", list)
-            if not all(isinstance(name, str) for name in names) or len(set(names)) != len(names):
-                raise InvalidInputError(f"{kind.where}keypoints", names, "Give a list of distinct names.")
-            layouts[kind.get("id", int)] = tuple(names)
-    if not any(layouts.values()):
+        names = kind.get("keypoints", list) if "keypoints" in kind else []
+        if not all(isinstance(name, str) for name in names) or len(set(names)) != len(names):
+            raise InvalidInputError(f"{kind.where}keypoints", names, "Give a list of distinct names.")
+        if names or "id" in kind:
+            kinds[_key(kind, "id")] = _Kind("_".join(str(kind.data.get("name") or "").split()), tuple(names))
+    if not any(kind.keypoints for kind in kinds.values()):
         fix = "Give a file whose categories name their keypoints."
         raise InvalidInputError(f"{top.where}categories", "no keypoint names", fix)
-    return layouts
+    return kinds
 
 
 def _record(fields: Fields, names: Sequence[str | None], *, labelled: bool) -> Record:
@@ -138,6 +166,11 @@ def _record(fields: Fields, names: Sequence[str | None], *, labelled: bool) -> R
     if "bbox" in fields:
         x, y, width, height = fields.numbers("bbox", (4,)).tolist()
         record["box"] = [x, y, x + width, y + height]
+    if "score" in fields:
+        record["score"] = float(fields.numbers("score", ()))
+    track = plain_id(fields.data.get("track_id"))
+    if isinstance(track, int) and track >= 0:
+        record["track"] = track
     return record
 
 
@@ -176,12 +209,15 @@ def _picture(image: Fields) -> Record:
     if "camera_matrix" in image:
         record["K"] = image.numbers("camera_matrix", (3, 3)).tolist()
         record["image_size"] = [image.get("width", int), image.get("height", int)]
+    elif "width" in image and "height" in image and (size := read_size(image)) is not None:
+        record["image_size"] = list(size)
     return record
 
 
-def _key(fields: Fields, name: str) -> int | str:
+def _key(fields: Fields, name: str) -> _Id:
     """An id: an integer, or a text as some programs have it."""
     value = fields.data.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | str):
+    key = plain_id(value)
+    if key is None:
         raise InvalidInputError(f"{fields.where}{name}", "nothing" if value is None else value, "Give an integer.")
-    return value
+    return key

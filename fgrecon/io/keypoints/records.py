@@ -29,7 +29,7 @@ Record = dict[str, Any]
 
 
 def keypoint_records(path: Path, category: Category) -> list[Any]:
-    """The vehicles of a file of any format, or of a track.
+    """The vehicles of a file of any format, or of a track; of COCO's annotations the error where one is malformed.
 
     Args:
         path: The file.
