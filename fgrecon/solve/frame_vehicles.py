@@ -14,13 +14,13 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
-from fgrecon.solve.facing import estimate_pose_facing
 from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
+from fgrecon.solve.ground_filter import CameraFrame, KnownGround
+from fgrecon.solve.image_facing import estimate_pose_facing
 from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.road import CameraFrame, KnownGround
-from fgrecon.solve.solve_settings import ROAD
+from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.time.frame import Frame, FrameStep
 from fgrecon.solve.time.heading_neighbours import neighbour_evidence
 from fgrecon.solve.time.vehicle_filter import FilterModel, VehicleFilter, VehicleUpdate, first_observed
@@ -123,7 +123,7 @@ def look_at_vehicles(
 def _step(before: CameraFrame, now: CameraFrame) -> FrameStep:
     """From a vehicle's last frame to this one."""
     camera, place, seconds = now.motion_from(before), now.world_T_camera, now.time - before.time
-    if camera is None or place is None or not np.abs(camera.translation()).max() < ROAD.farthest_camera_m:
+    if camera is None or place is None or not np.abs(camera.translation()).max() < GROUND_FILTER.farthest_camera_m:
         return FrameStep(seconds, None, np.zeros((6, 6)))
     covariance = now.drift.since(before.drift, place)
     return FrameStep(seconds, None, np.zeros((6, 6))) if covariance is None else FrameStep(seconds, camera, covariance)

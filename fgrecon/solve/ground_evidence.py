@@ -14,8 +14,8 @@ from fgrecon.core.camera import Ground
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.graph.vehicle_part import ShapeValues
-from fgrecon.solve.solve_settings import ROAD
-from fgrecon.solve.standing import Standing
+from fgrecon.solve.image_ground import ImageGround
+from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.time.frame import Frame
 
 __all__ = ["GroundEvidence", "ground_evidence"]
@@ -50,7 +50,7 @@ def ground_evidence(
     """
     if len(frames) < 2 or "ground" in frames[0].problem.options.disabled_terms:
         return None
-    standing = Standing.of(0, {i: one.pose.matrix() for i, one in enumerate(frames)}, nominal)
+    standing = ImageGround.of(0, {i: one.pose.matrix() for i, one in enumerate(frames)}, nominal)
     state = State([one.pose for one in frames], dict(enumerate(shapes)), [one.weights for one in frames], known.values)
     extra = [*standing.contacts.values(), marginal_factor(known)]
     graph = Graph(
@@ -59,7 +59,7 @@ def ground_evidence(
         pose_free=True,
         extra=extra,
     )
-    optimum = optimise(graph, state, ROAD.ground_iterations)
+    optimum = optimise(graph, state, GROUND_FILTER.ground_iterations)
     if optimum.failure is not None:
         return None
     speaking, values = gtsam.NonlinearFactorGraph(), optimum.values

@@ -21,10 +21,10 @@ from fgrecon.core.half_turn import flipped_alternative
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.solve.detected import KnownBox
-from fgrecon.solve.facing import couple_facings, estimate_pose
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.multi_start import MultiStartResult, SolvedStage, minimise_from_proposals
 from fgrecon.solve.graph.optimise import optimise
+from fgrecon.solve.image_facing import couple_facings, estimate_pose
 from fgrecon.solve.inputs import SolveSetup, observe
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem

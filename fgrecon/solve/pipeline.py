@@ -17,9 +17,9 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
-from fgrecon.solve.facing import single_pose
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
+from fgrecon.solve.image_facing import single_pose
 from fgrecon.solve.inputs import SolveSetup, add_input_warnings, as_extra_factors, as_initial, calibrated, observe
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.result import results

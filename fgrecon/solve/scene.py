@@ -4,8 +4,8 @@
     F(0) keypoints, box --- X(2,0) --- contact --- G(0) --- prior (what is known of the mount)
     +--- keypoints, box --- X(3,0) --- contact ---+
 
-Every vehicle is first solved by itself, nearly to the end (`fgrecon.solve.independent`); `fgrecon.solve.standing` is
-about the ground.
+Every vehicle is first solved by itself, nearly to the end (`fgrecon.solve.independent`); the ground is in
+`fgrecon.solve.image_ground`.
 
 Where the focal length is not known it is the variable F(0) of all keypoints and boxes (`fgrecon.solve.focal`), also of
 several images that one camera took, each with a ground of its own. Vehicles of which another detector has a 3D box have
@@ -43,13 +43,13 @@ from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.multi_start import MultiStartResult, SolvedStage
 from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle_part import fleet_prior, is_any_fleets
+from fgrecon.solve.image_ground import ImageGround, observed_ground
 from fgrecon.solve.independent import IndependentSolve, IndependentVehicle, solve_independently
 from fgrecon.solve.inputs import SolveSetup, add_input_warnings, as_box_errors, as_boxes
 from fgrecon.solve.mirrored import with_mirrored_gain
-from fgrecon.solve.occlusion import with_occlusion
+from fgrecon.solve.mutual_occlusion import with_occlusion
 from fgrecon.solve.result import Marginalised, marginalise, pose_history, results, weakened
 from fgrecon.solve.solve_settings import SCENE
-from fgrecon.solve.standing import Standing, observed_ground
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon.solve.weakness import unknown_focal
@@ -162,7 +162,7 @@ class _JointSolve:
     graph: Graph
     optimum: Optimum
     extra: list[gtsam.NonlinearFactor]
-    standing: dict[int, Standing]
+    standing: dict[int, ImageGround]
 
     @property
     def camera(self) -> Camera:
@@ -322,9 +322,9 @@ def _solve_jointly(independent: IndependentSolve, images: _Images, out: Collecti
     return None if optimum.failure is not None else _JointSolve(independent, seen, graph, optimum, extra, standing)
 
 
-def _standing(solved: dict[int, IndependentVehicle], images: _Images) -> dict[int, Standing]:
+def _standing(solved: dict[int, IndependentVehicle], images: _Images) -> dict[int, ImageGround]:
     """The ground of each image that has one, with its vehicles; not of one vehicle alone."""
-    found: dict[int, Standing] = {}
+    found: dict[int, ImageGround] = {}
     given, image_of = images.setup.ground, images.image_of
     if "ground" in images.setup.options.disabled_terms:
         return found
@@ -332,7 +332,7 @@ def _standing(solved: dict[int, IndependentVehicle], images: _Images) -> dict[in
         poses = {number: one.pose for number, one in solved.items() if image_of[number] == image}
         nominal = observed_ground([*poses.values()]) if given is None else given
         if len(poses) > 1 and nominal is not None:
-            found[image] = Standing.of(image, poses, nominal, given=given is not None)
+            found[image] = ImageGround.of(image, poses, nominal, given=given is not None)
     return found
 
 

@@ -6,7 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["FACING", "ROAD", "SCENE", "STATUS", "FacingSettings", "RoadSettings", "SceneSettings", "StatusSettings"]
+__all__ = [
+    "FACING",
+    "GROUND_FILTER",
+    "SCENE",
+    "STATUS",
+    "FacingSettings",
+    "GroundFilterSettings",
+    "SceneSettings",
+    "StatusSettings",
+]
 
 
 @dataclass(frozen=True)
@@ -56,7 +65,7 @@ class SceneSettings:
 
 
 @dataclass(frozen=True)
-class RoadSettings:
+class GroundFilterSettings:
     """The ground over time; on what these were chosen is not recorded."""
 
     correlation_s: float = 0.3  # after which what vehicles say of the ground counts whole again
@@ -103,4 +112,4 @@ class StatusSettings:
     facing_probability: float = 0.01  # a facing that is less probable need not have a pose
 
 
-FACING, SCENE, ROAD, STATUS = FacingSettings(), SceneSettings(), RoadSettings(), StatusSettings()
+FACING, SCENE, GROUND_FILTER, STATUS = FacingSettings(), SceneSettings(), GroundFilterSettings(), StatusSettings()

@@ -34,10 +34,10 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
-from fgrecon.solve.facing import single_pose
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.graph.records import graph_factors, joint_steps
+from fgrecon.solve.image_facing import single_pose
 from fgrecon.solve.inputs import SolveSetup, add_input_warnings, as_cameras, as_extra_factors, observe
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.proposals.pose_search import PoseEstimate

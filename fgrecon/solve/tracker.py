@@ -30,9 +30,10 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
-from fgrecon.solve.facing import couple_facings
 from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, look_at_vehicles
 from fgrecon.solve.graph.records import graph_factors
+from fgrecon.solve.ground_filter import CameraFrame, GroundFilter
+from fgrecon.solve.image_facing import couple_facings
 from fgrecon.solve.inputs import (
     SolveSetup,
     add_input_warnings,
@@ -43,8 +44,7 @@ from fgrecon.solve.inputs import (
     observe,
 )
 from fgrecon.solve.result import marginalise, results
-from fgrecon.solve.road import CameraFrame, Road
-from fgrecon.solve.solve_settings import ROAD
+from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.camera_drift import CameraDrift
 from fgrecon.solve.time.frame import Frame
@@ -101,14 +101,16 @@ class Tracker:
             InvalidInputError: An argument cannot be used; names it, its value and the fix.
         """
         setup = SolveSetup.of(prior, size_prior, options, joint=True)
-        if not isinstance(window, int | np.integer) or not 2 <= window <= ROAD.largest_window:
-            raise InvalidInputError("window", window, f"Give 2 to {ROAD.largest_window} frames, a whole number.")
+        if not isinstance(window, int | np.integer) or not 2 <= window <= GROUND_FILTER.largest_window:
+            raise InvalidInputError(
+                "window", window, f"Give 2 to {GROUND_FILTER.largest_window} frames, a whole number."
+            )
         if past is not None and (not isinstance(past, int | np.integer) or past < 1):
             raise InvalidInputError("past", past, "Give at least 1 frame, a whole number, or None.")
         self._setup = replace(setup, options=replace(setup.options, keep_history=False))
         kept = None if past is None else int(past)
         self._model = FilterModel(setup.prior.category.motion, int(window), kept, motion_factors)
-        self._road = Road() if shared_ground else None
+        self._road = GroundFilter() if shared_ground else None
         self._tracks: dict[int, VehicleTrack] = {}
         self._forgotten: list[float] = []  # how far the boxes of vehicles were off that were forgotten
         self._time = self._clock = -np.inf
@@ -164,7 +166,7 @@ class Tracker:
         with self._one_call:
             cameras = self._cameras_at(time, used, place)
             # Noise that grows with time must not vanish: frames of one time are a microsecond apart.
-            clock = max(time, self._clock + ROAD.shortest_s)
+            clock = max(time, self._clock + GROUND_FILTER.shortest_s)
             frame = CameraFrame(clock, used, plane, place, moved, self._drift.moved(place, moved))
             found = self._update(frame, time, observations)
             self._time, self._clock, self._cameras, self._drift = time, clock, cameras, frame.drift
@@ -210,7 +212,7 @@ class Tracker:
         Raises:
             InvalidInputError: It is not later, nor of another camera at a known place.
         """
-        if time - self._time >= ROAD.shortest_s:
+        if time - self._time >= GROUND_FILTER.shortest_s:
             return [(camera, place)]
         others = all(
             there is not None
@@ -218,7 +220,7 @@ class Tracker:
             and not (there.equals(place, 0.0) and np.array_equal(other.matrix, camera.matrix))
             for other, there in self._cameras
         )
-        if abs(time - self._time) < ROAD.shortest_s and place is not None and others:
+        if abs(time - self._time) < GROUND_FILTER.shortest_s and place is not None and others:
             return [*self._cameras, (camera, place)]
         fix = f"Give frames in order, a microsecond apart at least: the last one was at {self._time:.10g} s."
         fix += " Different cameras may have frames at the same time, if all of these have `world_T_camera`."

@@ -13,10 +13,10 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options, ShapeOptions
 from fgrecon.core.reconstruction import Status
 from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.image_ground import own_deviations
 from fgrecon.solve.independent import solve_independently
 from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
-from fgrecon.solve.standing import own_deviations
 from fgrecon.solve.vehicle.model import prepare
 from tests.cars import CAMERA, observe
 

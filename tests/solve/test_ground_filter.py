@@ -10,7 +10,7 @@ from factors.keys import G
 from factors.marginals import Marginal
 from fgrecon.core.camera import Ground
 from fgrecon.solve.ground_evidence import GroundEvidence
-from fgrecon.solve.road import CameraFrame, Road
+from fgrecon.solve.ground_filter import CameraFrame, GroundFilter
 from tests.solve.time.streets import CAMERA, PRIOR, seen, upright
 
 GROUND = 1.65
@@ -56,7 +56,7 @@ class Video:
     """A road, frame by frame."""
 
     def __init__(self):
-        self.road = Road()
+        self.road = GroundFilter()
 
 
 def later(video, time, given, place, vehicles, camera=CAMERA, **more):

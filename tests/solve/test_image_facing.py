@@ -14,7 +14,7 @@ from fgrecon.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation import HOURGLASS
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate
-from fgrecon.solve.facing import couple_facings, estimate_pose
+from fgrecon.solve.image_facing import couple_facings, estimate_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import prepare
 

@@ -5,7 +5,7 @@ import numpy as np
 import fgrecon
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.vehicles import yaw_pose
-from fgrecon.solve.occlusion import with_occlusion
+from fgrecon.solve.mutual_occlusion import with_occlusion
 from tests.cars import CAMERA, observe
 
 

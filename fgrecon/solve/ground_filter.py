@@ -30,12 +30,12 @@ from factors.noise import full_noise
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.ground_evidence import GroundEvidence
-from fgrecon.solve.solve_settings import ROAD, SCENE
-from fgrecon.solve.standing import ground_spread, observed_ground, own_deviations
+from fgrecon.solve.image_ground import ground_spread, observed_ground, own_deviations
+from fgrecon.solve.solve_settings import GROUND_FILTER, SCENE
 from fgrecon.solve.time.camera_drift import CameraDrift
 from fgrecon.solve.time.time_settings import SETTINGS
 
-__all__ = ["CameraFrame", "KnownGround", "Road"]
+__all__ = ["CameraFrame", "GroundFilter", "KnownGround"]
 
 Array = NDArray[np.float64]
 
@@ -149,14 +149,14 @@ class KnownGround:
 
 
 @dataclass(frozen=True)
-class Road:
+class GroundFilter:
     """The ground of one video up to a frame; `past` is None before the first."""
 
     past: _Past | None = None
 
     def later(
         self, frame: CameraFrame, look: Callable[[Ground | None], Vehicles]
-    ) -> tuple[Road, KnownGround | None, Vehicles]:
+    ) -> tuple[GroundFilter, KnownGround | None, Vehicles]:
         """Take a frame, and look at its vehicles on its ground.
 
         Args:
@@ -173,7 +173,7 @@ class Road:
             poses = vehicles.poses()
             observed = observed_ground(poses) if len(poses) > 1 else None
             if observed is None:
-                return Road(), None, vehicles
+                return GroundFilter(), None, vehicles
             nominal = _Nominal(observed, given=False)
             known, share = _first(nominal)
         else:
@@ -187,7 +187,11 @@ class Road:
             less = said.scaled(1.0 / evidence.common_factor)
             known = _known(lambda: (_both(before.where, said), _both(before.counted, less))) or known
         found = _ground(nominal, known)
-        return Road(None if found is None else _Past(frame, nominal, known, found.ground, share)), found, vehicles
+        return (
+            GroundFilter(None if found is None else _Past(frame, nominal, known, found.ground, share)),
+            found,
+            vehicles,
+        )
 
     def _before(self, frame: CameraFrame, nominal: _Nominal) -> tuple[_Known, float]:
         """What is known of the ground of a frame before its vehicles speak, and by which share these count."""
@@ -198,7 +202,7 @@ class Road:
             if known is not None:
                 seconds = frame.time - past.frame.time
                 simultaneous = seconds < SETTINGS.simultaneous_s
-                return known, past.share if simultaneous else min(seconds / ROAD.correlation_s, 1.0)
+                return known, past.share if simultaneous else min(seconds / GROUND_FILTER.correlation_s, 1.0)
         # The first frame, or the camera has gone where no ground before tells of this one, or now it is given.
         return _first(nominal)
 
@@ -232,8 +236,8 @@ def _first(nominal: _Nominal) -> tuple[_Known, float]:
 def _moved(past: _Past, frame: CameraFrame, nominal: _Nominal) -> gtsam.CustomFactor:
     """What ties a frame's ground G(1) to the one before, G(0)."""
     motion, seconds, axes = frame.motion_from(past.frame), frame.time - past.frame.time, nominal.axes
-    kept = max(float(np.exp(-seconds / ROAD.deviation_s)), ROAD.least_kept) if nominal.given else 1.0
-    changes = 1.0 - kept**2 if nominal.given else 2.0 * seconds / ROAD.estimated_change_s
+    kept = max(float(np.exp(-seconds / GROUND_FILTER.deviation_s)), GROUND_FILTER.least_kept) if nominal.given else 1.0
+    changes = 1.0 - kept**2 if nominal.given else 2.0 * seconds / GROUND_FILTER.estimated_change_s
     unsure = np.diag(changes * ground_spread(nominal.plane) ** 2)
     if motion is not None and frame.motion_covariance is not None:
         by_motion = np.zeros((3, 6))  # of height and slopes, in the camera's frame now
@@ -275,7 +279,7 @@ def _both(known: Marginal, said: Marginal) -> Marginal:
 
 
 def _solved(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
-    for _ in range(ROAD.iterations):
+    for _ in range(GROUND_FILTER.iterations):
         values = values.retract(graph.linearize(values).optimize())
     return values
 
@@ -304,10 +308,10 @@ def _ground(nominal: _Nominal, known: _Known) -> KnownGround | None:
         left = min(float(across @ covariance @ across) / whole, 1.0)
         return own + (whole - own) * left**2  # what is left of it counts less: it is mostly the same for all vehicles
 
-    near, far = variance(ROAD.near_m), variance(ROAD.far_m)
+    near, far = variance(GROUND_FILTER.near_m), variance(GROUND_FILTER.far_m)
     least_height, least_slope = own_deviations(plane, 1.0)
-    slope = max((far - near) / (ROAD.far_m**2 - ROAD.near_m**2), least_slope**2)
-    height = max(near - slope * ROAD.near_m**2, least_height**2)
+    slope = max((far - near) / (GROUND_FILTER.far_m**2 - GROUND_FILTER.near_m**2), least_slope**2)
+    height = max(near - slope * GROUND_FILTER.near_m**2, least_height**2)
     ground = replace(
         plane,
         normal=normal,

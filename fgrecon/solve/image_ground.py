@@ -24,13 +24,13 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.solve_settings import SCENE
 from fgrecon.solve.weakness import off_ground
 
-__all__ = ["Standing", "ground_spread", "observed_ground", "own_deviations"]
+__all__ = ["ImageGround", "ground_spread", "observed_ground", "own_deviations"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Standing:
+class ImageGround:
     """The vehicles of an image on its ground.
 
     Attributes:
@@ -48,7 +48,7 @@ class Standing:
     spread: Array
 
     @classmethod
-    def of(cls, image: int, poses: Mapping[int, Array], nominal: Ground, *, given: bool = True) -> Standing:
+    def of(cls, image: int, poses: Mapping[int, Array], nominal: Ground, *, given: bool = True) -> ImageGround:
         """The ground of an image with vehicles at poses (4, 4), by number, about where it is given or observed."""
         frame = GroundFrame.of(nominal.normal, nominal.distance)
         contacts = {
