@@ -82,7 +82,7 @@ def work_on_ray(solver: TaskSolver, batches: Iterable[Tasks], jobs: int, address
     try:
         import ray
     except ImportError as error:
-        raise MissingPackageError("fgrecon[ray]", "A run on Ray") from error
+        raise MissingPackageError("ray[data]>=2.40", "A run on Ray") from error
     if not ray.is_initialized():
         ray.init(address=address, log_to_driver=False)
     processors = max(int(ray.cluster_resources().get("CPU", 1)), 1)

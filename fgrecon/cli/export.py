@@ -57,7 +57,8 @@ def export_command(
         Path,
         typer.Argument(
             metavar="RESULTS",
-            help="Results as written by --json of reconstruct or track, or demo; or the folder of a batch or run.",
+            help="Results as written by --json of reconstruct or track, or demo; "
+            "or the folder of a batch, a run or of reconstruct's --out.",
         ),
     ],
     out: Annotated[
@@ -87,7 +88,7 @@ def export_command(
     if (frames := frames_file(results)) is not None:
         check_video_format(out, options.kind)
         found, images_known = read_video_frames(frames, images_known)
-    elif results.is_dir():
+    elif (results / "_run.json").exists() or (results.is_dir() and not any(results.glob("*.json"))):
         from fgrecon.batch import read_folder
 
         found = read_folder(results, options.prior)

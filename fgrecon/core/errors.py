@@ -4,6 +4,7 @@ All errors derive from `FgreconError`. Errors about input derive from `InvalidIn
 field, the value and the fix; the command line turns them into exit code 2.
 """
 
+import shlex
 from typing import Any
 
 from factors.errors import (
@@ -37,7 +38,8 @@ class MissingPackageError(FgreconError, ImportError):
 
     def __init__(self, package: str, purpose: str) -> None:
         self.package, self.purpose = package, purpose
-        super().__init__(f"{purpose} needs {package}, which is not installed here. Run: pip install {package}")
+        command = shlex.join(["pip", "install", *package.split()])
+        super().__init__(f"{purpose} needs {package}, which is not installed here. Run: {command}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle, as from a worker process."""

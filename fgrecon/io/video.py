@@ -35,7 +35,7 @@ def check_video(path: str | Path) -> str:
     try:
         import av
     except ImportError as error:
-        raise MissingPackageError("fgrecon[video]", "Writing a video") from error
+        raise MissingPackageError("av>=14", "Writing a video") from error
     try:
         av.Codec(_CODEC, "w")
     except ValueError as error:  # av.codec.codec.UnknownCodecError

@@ -204,5 +204,5 @@ def _av() -> Any:
     try:
         import av
     except ImportError as error:
-        raise MissingPackageError("fgrecon[video]", "Reading a video") from error
+        raise MissingPackageError("av>=14", "Reading a video") from error
     return av

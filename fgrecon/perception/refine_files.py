@@ -29,8 +29,8 @@ from fgrecon.perception.refine import refine_boxes
 
 __all__ = ["KINDS", "BoxFiles", "RefineRequest", "RefinedImage", "Refiner", "open_boxes"]
 
-KINDS = "Car", "Van", "car"
-"""Types of objects that are refined: KITTI's, nuScenes'."""
+KINDS = "Car", "Van"
+"""Types of objects that are refined, in capitals or not."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,9 @@ class Refiner:
             boxed = [
                 (line, box)
                 for line in image.objects
-                if line.kind in KINDS and line.score >= self.request.min_score and (box := line.box(offset)) is not None
+                if line.kind.capitalize() in KINDS
+                and line.score >= self.request.min_score
+                and (box := line.box(offset)) is not None
             ]
             pixels = read_image(image.image)
             sized = camera.with_size_of(pixels)

@@ -318,7 +318,7 @@ def test_ray_is_asked_for_where_it_is_missing(tmp_path, monkeypatch):
     file = write_lines(tmp_path / "one.jsonl", instances(1))
     done = batch(file, "--out", tmp_path / "out", "--ray", "auto")
     assert isinstance(done.exception, MissingPackageError)
-    assert "pip install fgrecon[ray]" in str(done.exception)
+    assert "pip install 'ray[data]>=2.40'" in str(done.exception)
 
 
 def test_no_changed_byte_of_a_part_goes_unnoticed(tmp_path):

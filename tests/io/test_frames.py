@@ -246,7 +246,7 @@ def test_what_is_no_source_is_refused(tmp_path, video):
 def test_pyav_is_asked_for_where_it_is_missing(video, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     for use in (lambda: open_frames(video), lambda: check_video("a.mp4")):
-        with pytest.raises(MissingPackageError, match=r"pip install fgrecon\[video\]"):
+        with pytest.raises(MissingPackageError, match="pip install 'av>=14'"):
             use()
 
 

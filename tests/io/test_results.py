@@ -144,3 +144,14 @@ def test_files_of_the_first_release_read_as_they_did(tmp_path):
     (file := tmp_path / "old.json").write_text(json.dumps(old | {"instances": [entry, refused]}))
     (found,) = read_results(file)
     assert_same(found.result, result)
+
+
+def test_a_folder_of_results_is_read_as_its_files_are(cars, tmp_path):
+    (tmp_path / "out").mkdir()
+    for name in ("a", "b"):
+        run("reconstruct", cars, "--json", tmp_path / "out" / f"{name}.json")
+    alone = read_results(tmp_path / "out" / "a.json")
+    both = read_results(tmp_path / "out")
+    assert [one.name for one in both] == 2 * [one.name for one in alone]
+    run("export", tmp_path / "out", tmp_path / "table.csv")
+    assert len((tmp_path / "table.csv").read_text().splitlines()) == 1 + len(both)

@@ -60,7 +60,7 @@ def scene_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo])
     try:
         from mcap.writer import Writer
     except ImportError as error:
-        raise MissingPackageError("fgrecon[mcap]", "MCAP") from error
+        raise MissingPackageError("mcap>=1.2 mcap-ros2-support>=0.5", "MCAP") from error
     sink = io.BytesIO()
     writer = Writer(sink)
     writer.start(profile="", library="fgrecon")
@@ -95,7 +95,7 @@ def detections_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageI
     try:
         from mcap_ros2.writer import Writer
     except ImportError as error:
-        raise MissingPackageError("fgrecon[mcap]", "ROS 2 messages") from error
+        raise MissingPackageError("mcap>=1.2 mcap-ros2-support>=0.5", "ROS 2 messages") from error
     sink = io.BytesIO()
     writer = Writer(sink)
     schema = writer.register_msgdef("vision_msgs/msg/Detection3DArray", DETECTIONS)

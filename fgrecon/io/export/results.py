@@ -120,13 +120,19 @@ def read_results(path: str | Path, prior: ShapePrior | str | Path | None = None)
 
     Args:
         path: What `fgrecon reconstruct --json`, `fgrecon track --json` or `fgrecon demo` wrote, or a
-            `Reconstruction.to_dict()`; of this release or of one before.
+            `Reconstruction.to_dict()`; of this release or of one before. Or a folder of such files, as
+            `fgrecon reconstruct --out` writes it.
         prior: The shape prior, where the file does not find it: a result whose prior is gone has no surface.
 
     Raises:
         InvalidInputError: It is none of these, or the prior that was given cannot be read.
     """
     given = None if prior is None else load_prior(prior)
+    if Path(path).is_dir():
+        files = sorted(Path(path).glob("*.json"))
+        if not files:
+            raise InvalidInputError("results", str(path), "Give a folder that `fgrecon reconstruct --out` wrote.")
+        return [result for file in files for result in read_results(file, given)]
     data = read_json(Path(path))
     kind = data.get("format") if isinstance(data, dict) else None
     with well_formed(str(path), "Give the file as fgrecon wrote it."):
