@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.matching import match_detections
 from fgrecon.calibration.regions import DIMENSIONS, claimed
-from fgrecon.calibration.selection import Wanted
+from fgrecon.calibration.selection import Selection
 from fgrecon.core.coverage import Coverage, Region, coverage
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import orientation_error, translation_error, wrap_angle
@@ -170,7 +170,7 @@ class VideoBox:
 
 def wanted(frame: DriveFrame) -> NDArray[np.intp]:
     """Indices of the labels that count: those that are annotated by default, and have a 3D box to be scored by."""
-    rows, _ = Wanted().judge(frame)
+    rows, _ = Selection().judge(frame)
     counting: NDArray[np.intp] = rows[frame.boxed[rows]]
     return counting
 
@@ -186,7 +186,7 @@ def matched(frame: DriveFrame, boxes: Objects, least: float) -> NDArray[np.int64
         boxes: What was found.
         least: Overlap.
     """
-    rows = np.flatnonzero(np.isin(frame.objects.kind, Wanted().kinds))
+    rows = np.flatnonzero(np.isin(frame.objects.kind, Selection().kinds))
     labels = frame.objects.take(rows)
     at = match_detections(labels, boxes, least)
     without = np.flatnonzero(at < 0)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_drives import DriveFrame
 
-__all__ = ["LeftOut", "Reason", "Wanted"]
+__all__ = ["LeftOut", "Reason", "Selection"]
 
 
 class Reason(StrEnum):
@@ -32,7 +32,7 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class LeftOut:
-    """An object of a wanted kind without keypoints, and why.
+    """An object of a selected kind without keypoints, and why.
 
     Attributes:
         frame: Number of the image.
@@ -48,7 +48,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Selection:
     """Which objects are annotated.
 
     Attributes:
@@ -70,16 +70,16 @@ class Wanted:
             InvalidInputError: There is no kind, or a limit lets nothing through or is no number.
         """
         if not self.kinds:
-            raise InvalidInputError("wanted.kinds", "none", "Give at least one kind, such as Car.")
+            raise InvalidInputError("selection.kinds", "none", "Give at least one kind, such as Car.")
         if not self.height >= 0.0:
-            raise InvalidInputError("wanted.height", self.height, "Give pixels, from 0.")
+            raise InvalidInputError("selection.height", self.height, "Give pixels, from 0.")
         if self.occlusion < 0:
-            raise InvalidInputError("wanted.occlusion", self.occlusion, "Give KITTI's grade, from 0.")
+            raise InvalidInputError("selection.occlusion", self.occlusion, "Give KITTI's grade, from 0.")
         if not 0.0 <= self.truncation <= 1.0:
-            raise InvalidInputError("wanted.truncation", self.truncation, "Give a share from 0 to 1.")
+            raise InvalidInputError("selection.truncation", self.truncation, "Give a share from 0 to 1.")
 
     def judge(self, frame: DriveFrame) -> tuple[NDArray[np.intp], list[LeftOut]]:
-        """A frame's objects of the wanted kinds: indices of those to annotate, and why the others are not.
+        """A frame's objects of the selected kinds: indices of those to annotate, and why the others are not.
 
         What is unknown (-1) of truncation and occlusion speaks against none.
         """

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.selection import LeftOut, Reason, Wanted
+from fgrecon.calibration.selection import LeftOut, Reason, Selection
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera
 from fgrecon.core.detection import Detection
@@ -57,7 +57,7 @@ def annotate(
     drive: Drive,
     detector: KeypointDetector,
     prior: ShapePrior,
-    wanted: Wanted | None = None,
+    selection: Selection | None = None,
     how: KnownBoxOptions | None = None,
     progress: Callable[[Sequence[Any], str], Iterable[Any]] = lambda things, _: things,
     unboxed: Unboxed | None = None,
@@ -68,25 +68,25 @@ def annotate(
         drive: Images with labelled boxes.
         detector: Network whose points are evidence.
         prior: Shape prior of its category; where it has no surface, a hull of its keypoints stands for it.
-        wanted: Which objects.
+        selection: Which objects.
         how: How exact the boxes are.
         progress: Shows how far each loop is.
         unboxed: What is known of vehicles without 3D boxes, which then are reconstructed; None leaves them out.
 
     Returns:
-        The annotations by frame and track; and every other object of the wanted kinds, with the reason.
+        The annotations by frame and track; and every other object of the selected kinds, with the reason.
 
     Raises:
         InvalidInputError: An image cannot be read, or the detector is of another category than the prior or returns
             something else than it should.
     """
-    wanted = Wanted() if wanted is None else wanted
+    selection = Selection() if selection is None else selection
     left: list[LeftOut] = []
     boxed: dict[int, list[_Member]] = defaultdict(list)
     others: list[_Member] = []
     for frame in progress(drive.frames, "Keypoints"):
-        rows, unwanted = wanted.judge(frame)
-        left += unwanted
+        rows, unselected = selection.judge(frame)
+        left += unselected
         usable = frame.boxed[rows] | (unboxed is not None)
         left += [_left_out(frame, row, Reason.NO_BOX) for row in rows[~usable]]
         for member in _seen(frame, rows[usable], detector, prior, left):

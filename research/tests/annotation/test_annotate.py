@@ -8,7 +8,7 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_drives import read_drive, read_object_folder
-from fgrecon_research.annotation.annotate import LeftOut, Reason, Wanted, annotate
+from fgrecon_research.annotation.annotate import LeftOut, Reason, Selection, annotate
 from fgrecon_research.annotation.labels import vehicle_labels
 from research.tests.annotation.streets import SIZE, Car, Told, write_drive
 
@@ -164,8 +164,8 @@ def test_a_detector_of_another_category_is_refused(scene, tmp_path):
     [("kinds", ()), ("height", np.nan), ("occlusion", -1), ("truncation", 1.5), ("truncation", np.nan)],
 )
 def test_limits_that_mean_nothing_are_refused(field, value):
-    with pytest.raises(InvalidInputError, match=f"wanted.{field}"):
-        Wanted(**{field: value})
+    with pytest.raises(InvalidInputError, match=f"selection.{field}"):
+        Selection(**{field: value})
 
 
 @pytest.mark.data

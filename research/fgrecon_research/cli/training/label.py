@@ -16,29 +16,29 @@ from fgrecon.cli.terminal import Terminal, stepwise
 from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from fgrecon.calibration.selection import Wanted
+    from fgrecon.calibration.selection import Selection
     from fgrecon_research.annotation.unboxed import Unboxed
 
 
 @dataclass(frozen=True)
-class WantedOptions:
-    """Which vehicles are labelled; see `fgrecon.calibration.selection.Wanted`."""
+class SelectionOptions:
+    """Which vehicles are labelled; see `fgrecon.calibration.selection.Selection`."""
 
     kinds: Annotated[str, typer.Option(metavar="KIND,KIND,...", help="Kinds of objects.")] = "Car,Van"
     least_height: Annotated[float, typer.Option(help="Least height of the 2D box, pixels.")] = 25.0
     occlusion: Annotated[int, typer.Option(help="Most of KITTI's grade: 0 visible, 1 partly, 2 largely occluded.")] = 2
     truncation: Annotated[float, typer.Option(help="Largest share outside the image.")] = 0.5
 
-    def wanted(self) -> Wanted:
+    def selection(self) -> Selection:
         """The same for the work.
 
         Raises:
             InvalidInputError: There is no kind, or a limit lets nothing through.
         """
-        from fgrecon.calibration.selection import Wanted
+        from fgrecon.calibration.selection import Selection
 
         kinds = tuple(kind.strip() for kind in self.kinds.split(",") if kind.strip())
-        return Wanted(kinds, self.least_height, self.occlusion, self.truncation)
+        return Selection(kinds, self.least_height, self.occlusion, self.truncation)
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def label_command(
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The labels: COCO keypoints (JSON).")],
-    which: WantedOptions,
+    which: SelectionOptions,
     unboxed: UnboxedOptions,
     terminal: Terminal,
     tracks: Annotated[
@@ -135,7 +135,7 @@ def label_command(
     check_outputs(json_out, out, picture=picture)
     check_ending(out, ["json"])
     screen = terminal.screen(json_out)
-    wanted, known, shape_prior = which.wanted(), unboxed.known(), load_prior(prior)
+    selection, known, shape_prior = which.selection(), unboxed.known(), load_prior(prior)
     if tracks is None:
         drives = [read_images(folder.absolute()) for folder in folders]
     else:
@@ -144,7 +144,7 @@ def label_command(
     detector = KeypointCascade(weights)
     with screen.bar() as advance:
         watch = partial(stepwise, advance=advance)
-        done = report.label_drives(drives, detector, shape_prior, watch, wanted, known)
+        done = report.label_drives(drives, detector, shape_prior, watch, selection, known)
     labels = report.labels_of(done, shape_prior, detector.provenance, terms)
     report.show(screen, done, labels)
     screen.write_json(report.document(done, labels))

@@ -16,7 +16,7 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from fgrecon.calibration.selection import LeftOut, Reason, Wanted
+from fgrecon.calibration.selection import LeftOut, Reason, Selection
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
@@ -68,7 +68,7 @@ def label_drives(
     detector: KeypointCascade,
     prior: ShapePrior,
     watch: Progress,
-    wanted: Wanted | None = None,
+    selection: Selection | None = None,
     unboxed: Unboxed | None = None,
 ) -> list[Labelled]:
     """Label the vehicles of some drives; see `fgrecon_research.annotation.annotate`."""
@@ -79,7 +79,7 @@ def label_drives(
             return watch(things, f"{name}: {heading}")
 
         with timed() as clock:
-            made, left = annotate(drive, detector, prior, wanted, progress=watched, unboxed=unboxed)
+            made, left = annotate(drive, detector, prior, selection, progress=watched, unboxed=unboxed)
         done.append(Labelled(drive, made, left, clock.seconds))
     return done
 
