@@ -62,7 +62,7 @@ def test_an_image_without_cars_says_so(images, command):
 def test_one_source_of_boxes_at_a_time(images, command, other):
     done = run(*command, images / "car.png", "--detect", *other)
     assert isinstance(done.exception, InvalidInputError)
-    assert done.exception.value == f"{other[0]} and --detect"
+    assert all(f"({flag})" in done.exception.value for flag in (other[0], "--detect"))
 
 
 def test_a_keypoint_file_is_not_searched(images):
