@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.labelled_boxes import TURNED_ROUND, BoxOutcome, outcome
+from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, BoxOutcome, outcome
 from fgrecon.calibration.regions import DIMENSIONS
 from fgrecon.core.coverage import reliability
 from fgrecon.core.geometry import view_azimuth
@@ -108,7 +108,7 @@ def follow(
 def table_row(name: str, found: Sequence[BoxOutcome], majority: Sequence[float] | None) -> str:
     """Of the Markdown table."""
     degrees, facing = np.array([one.degrees for one in found]), np.array([one.facing for one in found], dtype=float)
-    told = reliability(np.maximum(facing, 1.0 - facing), (degrees <= TURNED_ROUND) == (facing > 0.5)).error
+    told = reliability(np.maximum(facing, 1.0 - facing), (degrees <= FLIPPED_DEGREES) == (facing > 0.5)).error
     most = "-" if majority is None else f"{100 * np.mean(majority):.1f}"
     held = []
     for quantity in ("position", "yaw"):

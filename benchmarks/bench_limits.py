@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from benchmarks.weather import CHANGES, View
-from fgrecon.calibration.labelled_boxes import TURNED_ROUND, outcome, wanted
+from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, outcome, wanted
 from fgrecon.calibration.matching import match_detections
 from fgrecon.calibration.setup import Setup, reconstruct_boxes
 from fgrecon.core.camera import Ground
@@ -66,7 +66,7 @@ def table(found: dict[str, Sequence[Row]]) -> str:
     lines = ["| picture | cars | found % | within 5° % | turned round % | median m |", "|---|---:|---:|---:|---:|---:|"]
     for name, some in found.items():
         seen, degrees, metres = np.array(some).T
-        within, turned = 100.0 * np.mean(degrees <= 5.0), 100.0 * np.mean(degrees > TURNED_ROUND)
+        within, turned = 100.0 * np.mean(degrees <= 5.0), 100.0 * np.mean(degrees > FLIPPED_DEGREES)
         numbers = f"{100.0 * np.mean(seen):.0f} | {within:.0f} | {turned:.1f} | {np.median(metres):.2f}"
         lines.append(f"| {name} | {len(some)} | {numbers} |")
     return "\n".join(lines)

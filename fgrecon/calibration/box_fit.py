@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import wanted
 from fgrecon.calibration.labelled_frames import ScoredFrame
+from fgrecon.calibration.setup import SETTINGS
 from fgrecon.core.detector_calibration import BoxSource
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, yaw_rotation
@@ -21,7 +22,6 @@ __all__ = ["SeenBox", "check_whole_cars", "fit_boxes", "seen_boxes"]
 
 Array = NDArray[np.float64]
 
-_FEWEST = 30  # vehicles
 _MAD = 1.4826  # from the median absolute deviation to a normal standard deviation
 
 
@@ -56,8 +56,8 @@ def _is_whole(kind: str, occlusion: float, truncation: float) -> bool:
 
 
 def _check_count(count: int, what: str) -> None:
-    if count < _FEWEST:
-        fix = f"Give drives with at least {_FEWEST} cars that are visible as a whole and detected."
+    if count < SETTINGS.fewest_vehicles:
+        fix = f"Give drives with at least {SETTINGS.fewest_vehicles} cars that are visible as a whole and detected."
         raise InvalidInputError("drives", f"{count} {what}", fix)
 
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.labelled_boxes import SYSTEM, TURNED_ROUND, VideoBox, box_coverage, wanted
+from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, SYSTEM, VideoBox, box_coverage, wanted
+from fgrecon.calibration.setup import SETTINGS
 from fgrecon.core.coverage import SIGMAS, reliability
 from fgrecon.core.detection import calibrated_facing
 from fgrecon.core.detector_calibration import DetectorCalibration
@@ -24,14 +25,10 @@ from fgrecon.io.kitti_drives import Drive
 
 __all__ = ["FACTORS", "FittedDetector", "as_said", "check_labels", "check_solved", "fit_detector", "holding"]
 
-FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+FACTORS = SETTINGS.common_factors
 """The common factors that vehicles are reconstructed with; what is fitted lies between them."""
 
-_FEWEST = 30  # vehicles that regions are judged by
-_FEWEST_FLIPPED = 5  # flipped, without which nothing says what a direction counts
 _QUANTITIES = "position", "yaw"
-_FACING_BOUNDS = {"facing_bias": (-10.0, 10.0), "facing_slope": (0.0, 10.0)}
-_SHORT = 0.1  # regions hold so much less than they claim at most; those of the shipped networks are short by 0.09
 
 Array = NDArray[np.float64]
 
@@ -77,12 +74,12 @@ def check_solved(boxes: Sequence[VideoBox]) -> None:
     Raises:
         InvalidInputError: Too few vehicles were reconstructed.
     """
-    _check_count(sum(bool(box.outcomes[SYSTEM].squared) for box in boxes), "vehicles")
+    _check_count(_solved(boxes), "vehicles")
 
 
 def _check_count(count: int, what: str) -> None:
-    if count < _FEWEST:
-        fix = f"Give drives with at least {_FEWEST} labelled vehicles that can be reconstructed."
+    if count < SETTINGS.fewest_vehicles:
+        fix = f"Give drives with at least {SETTINGS.fewest_vehicles} labelled vehicles that can be reconstructed."
         raise InvalidInputError("drives", f"{count} {what}", fix)
 
 
@@ -97,39 +94,50 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
         InvalidInputError: Too few vehicles were reconstructed.
     """
     boxes = scored[FACTORS[0]]
-    drives = sorted({box.drive for box in boxes})
-    solved = [box for box in boxes if box.outcomes[SYSTEM].squared]
     check_solved(boxes)
-    curves_of_all = _curves(scored)
-    if not curves_of_all:
+    curves = _curves(scored)
+    if not curves:
         fix = "Give drives whose vehicles are seldom flipped: those are not judged."
-        raise InvalidInputError("drives", f"{len(solved)} vehicles without regions", fix)
-    factor, facing, flipped = _factor(curves_of_all), _facing(boxes), sum(_is_flipped(box) for box in boxes)
+        raise InvalidInputError("drives", f"{_solved(boxes)} vehicles without regions", fix)
+    factor, facing, flipped = _factor(curves), _facing(boxes), sum(_is_flipped(box) for box in boxes)
+    inside, error = _holding_elsewhere(scored)
+    warnings = (*_end_of_factors(factor, curves), *_facing_warnings(facing, flipped), *_not_holding(inside))
+    shares = {name: {f"{p:g}": share for p, share in some.items() if share >= 0.0} for name, some in inside.items()}
+    about = {"vehicles": _solved(boxes), "flipped": flipped, "inside": shares, "doubts": list(warnings)}
+    calibration = DetectorCalibration(factor, *facing, {**provenance, **about})
+    return FittedDetector(calibration, inside, error, warnings, flipped)
+
+
+def _holding_elsewhere(
+    scored: Mapping[float, Sequence[VideoBox]],
+) -> tuple[dict[str, dict[float, float]], float]:
+    """Each drive by what is fitted without it: `inside` and `facing_error` of `FittedDetector`."""
     inside: dict[str, dict[float, float]] = {name: dict.fromkeys(SIGMAS, float("nan")) for name in _QUANTITIES}
-    said: list[float] = []
-    right: list[bool] = []
-    if len(drives) > 1:
-        parts = []
-        for drive in drives:
-            others = {f: [box for box in some if box.drive != drive] for f, some in scored.items()}
-            own = {f: [box for box in some if box.drive == drive] for f, some in scored.items()}
-            curves, without = _curves(own), _curves(others)
-            if curves and without:  # of a drive that alone has vehicles, or has none, nothing is known
-                count = sum(bool(box.outcomes[SYSTEM].squared) for box in own[FACTORS[0]])
-                parts.append((count, curves, _factor(without)))
-            probability, hit = _chosen(own[FACTORS[0]])
-            said += [calibrated_facing(p, *_facing(others[FACTORS[0]])) for p in probability.tolist()]
-            right += hit.tolist()
+    drives = sorted({box.drive for box in scored[FACTORS[0]]})
+    if len(drives) < 2:
+        return inside, float("nan")
+    judged, said, right = [], [], []
+    for drive in drives:
+        others = {f: [box for box in some if box.drive != drive] for f, some in scored.items()}
+        own = {f: [box for box in some if box.drive == drive] for f, some in scored.items()}
+        curves, without = _curves(own), _curves(others)
+        if curves and without:  # a drive that alone has vehicles, or has none, cannot be judged
+            judged.append((_solved(own[FACTORS[0]]), curves, _factor(without)))
+        probability, hit = _chosen(own[FACTORS[0]])
+        facing = _facing(others[FACTORS[0]])
+        said += [calibrated_facing(p, *facing) for p in probability.tolist()]
+        right += hit.tolist()
+    if judged:
+        counts = [count for count, _, _ in judged]
         for name in _QUANTITIES:
             for level in SIGMAS:
-                held = [(count, _at(curves[name, level], best)) for count, curves, best in parts]
-                if held:
-                    inside[name][level] = float(np.average([share for _, share in held], weights=[n for n, _ in held]))
-    error = reliability(said, right).error if said else float("nan")
-    warnings = (*_end_of_factors(factor, curves_of_all), *_facing_warnings(facing, flipped), *_not_holding(inside))
-    shares = {name: {f"{p:g}": share for p, share in some.items() if share >= 0.0} for name, some in inside.items()}
-    whole = {**provenance, "vehicles": len(solved), "flipped": flipped, "inside": shares, "doubts": list(warnings)}
-    return FittedDetector(DetectorCalibration(factor, *facing, whole), inside, error, warnings, flipped)
+                held = [_at(curves[name, level], best) for _, curves, best in judged]
+                inside[name][level] = float(np.average(held, weights=counts))
+    return inside, reliability(said, right).error if said else float("nan")
+
+
+def _solved(boxes: Sequence[VideoBox]) -> int:
+    return sum(bool(box.outcomes[SYSTEM].squared) for box in boxes)
 
 
 def _end_of_factors(factor: float, curves: Mapping[tuple[str, float], Array]) -> list[str]:
@@ -150,7 +158,9 @@ def _facing_warnings(facing: tuple[float, float], flipped: int) -> list[str]:
         return [f"The facing's numbers are the default ones: {few} flipped."]
     return [
         f"{name} {value:.3g} is at an end of what was tried ({low:g} to {high:g})."
-        for (name, (low, high)), value in zip(_FACING_BOUNDS.items(), facing, strict=True)
+        for name, (low, high), value in zip(
+            ("facing_bias", "facing_slope"), SETTINGS.facing_bounds, facing, strict=True
+        )
         if math.isclose(value, low, abs_tol=1e-6) or math.isclose(value, high)
     ]
 
@@ -159,7 +169,7 @@ def _not_holding(inside: Mapping[str, Mapping[float, float]]) -> list[str]:
     short = np.array([level - share for some in inside.values() for level, share in some.items()])
     if np.isnan(short).all():
         return ["How well common_factor holds elsewhere is not known: no drive can be left out of the fit."]
-    if not (short > _SHORT).any():
+    if not (short > SETTINGS.tolerated_shortfall).any():
         return []
     return [f"common_factor does not hold on drives left out of the fit: {_shares(inside)} there."]
 
@@ -173,7 +183,7 @@ def _shares(inside: Mapping[str, Mapping[float, float]]) -> str:
 
 def _is_flipped(box: VideoBox) -> bool:
     found = box.outcomes[SYSTEM]
-    return found.status is not None and found.degrees > TURNED_ROUND
+    return found.status is not None and found.degrees > FLIPPED_DEGREES
 
 
 def _curves(scored: Mapping[float, Sequence[VideoBox]]) -> dict[tuple[str, float], Array]:
@@ -210,7 +220,7 @@ def holding(settings: Sequence[float], inside: Sequence[Array]) -> float:
 
 
 def _chosen(boxes: Sequence[VideoBox]) -> tuple[Array, NDArray[np.bool_]]:
-    """What the directions give the facing of each result that has one, and whether it is right."""
+    """Probability of the facing of each result that has one, and whether it is right."""
     faced = [box for box in boxes if box.outcomes[SYSTEM].facing is not None]
     said = np.array([box.outcomes[SYSTEM].facing for box in faced], dtype=np.float64)
     return said, np.array([not _is_flipped(box) for box in faced], dtype=bool)
@@ -223,7 +233,7 @@ def _facing(boxes: Sequence[VideoBox]) -> tuple[float, float]:
     probability, right = _chosen(boxes)
     default = DetectorCalibration()
     start = np.array([default.facing_bias, default.facing_slope])
-    if np.count_nonzero(~right) < _FEWEST_FLIPPED or not right.any():
+    if np.count_nonzero(~right) < SETTINGS.fewest_flipped or not right.any():
         return default.facing_bias, default.facing_slope
     p = np.clip(probability, 1e-6, 1.0 - 1e-6)
     odds, sign = np.log(p / (1.0 - p)), np.where(right, 1.0, -1.0)
@@ -231,5 +241,5 @@ def _facing(boxes: Sequence[VideoBox]) -> tuple[float, float]:
     def surprise(numbers: Array) -> float:
         return float(np.mean(np.logaddexp(0.0, -sign * (numbers[0] + numbers[1] * odds))))
 
-    found = minimize(surprise, start, method="L-BFGS-B", bounds=[*_FACING_BOUNDS.values()])
+    found = minimize(surprise, start, method="L-BFGS-B", bounds=SETTINGS.facing_bounds)
     return float(found.x[0]), float(found.x[1])

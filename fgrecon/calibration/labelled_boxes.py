@@ -28,8 +28,8 @@ from fgrecon.io.kitti_files import Objects
 from fgrecon.io.track_file import GroundTruth
 
 __all__ = [
+    "FLIPPED_DEGREES",
     "SYSTEM",
-    "TURNED_ROUND",
     "BoxOutcome",
     "VideoBox",
     "View",
@@ -44,7 +44,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-TURNED_ROUND = 90.0
+FLIPPED_DEGREES = 90.0
 """Degrees of yaw error above which a vehicle's heading is flipped."""
 
 SYSTEM = "reconstruct_image"
@@ -230,7 +230,7 @@ def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Arr
         status=result.status.value,
         failure=None,
         off=(turned, x, y, z),
-        squared={} if abs(turned) > TURNED_ROUND else claims.squared,
+        squared={} if abs(turned) > FLIPPED_DEGREES else claims.squared,
         spread=claims.spread,
         facing=result.facing_probability if np.isfinite(result.facing_probability) else None,
     )

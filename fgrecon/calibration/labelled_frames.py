@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import SYSTEM, BoxOutcome, VideoBox, labelled_azimuth, matched, outcome, wanted
-from fgrecon.calibration.setup import Setup, reconstruct_boxes
+from fgrecon.calibration.setup import SETTINGS, Setup, reconstruct_boxes
 from fgrecon.core.camera import Camera
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import InvalidInputError
@@ -37,8 +37,6 @@ Array = NDArray[np.float64]
 
 Rivals = Callable[[Camera, TrackFrame, Array], Mapping[str, BoxOutcome]]
 """Scores other methods by name, from the camera, the keypoints with their truth, and the labels' offset (3,)."""
-
-_OVERLAP = 0.5  # from which on a detected box is a labelled one's
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +108,7 @@ def reconstruct_frame(frame: DriveFrame, setup: Setup) -> tuple[NDArray[np.uint8
 def _labels_of(frame: DriveFrame, boxes: Array) -> tuple[list[int | None], list[int]]:
     """The label that counts of each detected box (M, 4), and its number; those with one come first."""
     detected = Objects.detections(["Car"] * len(boxes), boxes, np.ones(len(boxes)))
-    at = zip(wanted(frame).tolist(), matched(frame, detected, _OVERLAP).tolist(), strict=True)
+    at = zip(wanted(frame).tolist(), matched(frame, detected, SETTINGS.matching_overlap).tolist(), strict=True)
     pairs: list[tuple[int | None, int]] = [(row, number) for row, number in at if number >= 0]
     named = {number for _, number in pairs}
     pairs += [(None, number) for number in range(len(boxes)) if number not in named]

@@ -1,4 +1,4 @@
-"""What labelled vehicles are reconstructed with."""
+"""What labelled vehicles are reconstructed with, and the tuned numbers of what is fitted to them."""
 
 from __future__ import annotations
 
@@ -17,9 +17,25 @@ from fgrecon.perception.from_image import FromImage, reconstruct_image
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.protocols import VehicleDetector
 
-__all__ = ["SceneKnowledge", "Setup", "reconstruct_boxes"]
+__all__ = ["SETTINGS", "CalibrationSettings", "SceneKnowledge", "Setup", "reconstruct_boxes"]
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """What a detector is fitted by, and when a fit is doubtful. Where nothing else is said, not tuned."""
+
+    common_factors: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # that are tried
+    fewest_vehicles: int = 30  # that regions, or the edges of boxes, are judged by
+    fewest_flipped: int = 5  # vehicles, without which nothing tells what a direction counts
+    facing_bounds: tuple[tuple[float, float], ...] = ((-10.0, 10.0), (0.0, 10.0))  # of `facing_bias` and `facing_slope`
+    tolerated_shortfall: float = 0.1
+    """Share that regions hold less than they claim at most; those of the shipped networks are short by 0.09."""
+    matching_overlap: float = 0.5  # intersection over union from which on a detected box is a labelled one's
+
+
+SETTINGS = CalibrationSettings()
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.labelled_boxes import TURNED_ROUND
+from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES
 from fgrecon.core.serialise import finite
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
@@ -118,7 +118,7 @@ def summarise_group(vehicles: Sequence[LabelledBox]) -> OverlapSummary:
         right=shares("overlap"),
         ground=shares("footprint"),
         within=tuple(share(degrees <= most) for most in THRESHOLDS),
-        flipped=100.0 * float((degrees[got] > TURNED_ROUND).mean()) if got.any() else np.nan,
+        flipped=100.0 * float((degrees[got] > FLIPPED_DEGREES).mean()) if got.any() else np.nan,
         mean_metres=mean_interval(metres, own) if got.any() else None,
         median_metres=values.get("median_metres", np.nan),
         depth=values.get("depth", np.nan),

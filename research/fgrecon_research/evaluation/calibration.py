@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.labelled_boxes import TURNED_ROUND, BoxOutcome, VideoBox, claimed_regions, outcome
+from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, BoxOutcome, VideoBox, claimed_regions, outcome
 from fgrecon.calibration.regions import normalised_squared_error
 from fgrecon.core.camera import Ground
 from fgrecon.core.coverage import LEVELS, Coverage, Region, Reliability, coverage, reliability
@@ -84,7 +84,7 @@ def judged(found: BoxOutcome, group: str, distance: float, status: str) -> Judge
     Args:
         distance: Of the vehicle from the camera, metres.
     """
-    flipped = found.degrees > TURNED_ROUND
+    flipped = found.degrees > FLIPPED_DEGREES
     off = found.degrees > WRONG[0] or found.metres > WRONG[1] * distance
     return Judged(status, flipped, off, found.facing, claimed_regions(found, group))
 

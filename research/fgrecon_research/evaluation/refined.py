@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.labelled_boxes import TURNED_ROUND, matched, wanted
+from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, matched, wanted
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import orientation_error
@@ -229,7 +229,7 @@ def _comparison(vehicles: Sequence[RefinedVehicle]) -> Comparison:
         median_metres=_pair(np.median(metres, axis=1)),
         mean_degrees=_pair(degrees.mean(axis=1)),
         median_degrees=_pair(np.median(degrees, axis=1)),
-        flipped=(int((degrees[0] > TURNED_ROUND).sum()), int((degrees[1] > TURNED_ROUND).sum())),
+        flipped=(int((degrees[0] > FLIPPED_DEGREES).sum()), int((degrees[1] > FLIPPED_DEGREES).sum())),
         size=(_three(sizes[0]), _three(sizes[1])),
         worse=int((worse > _WORSE).sum()),
         worst_metres=float((metres[1] - metres[0]).max()),

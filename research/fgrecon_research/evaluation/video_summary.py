@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from fgrecon.calibration.labelled_boxes import SYSTEM, TURNED_ROUND, VideoBox, View
+from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, SYSTEM, VideoBox, View
 from fgrecon.calibration.regions import DIMENSIONS
 from fgrecon.core.coverage import Reliability, reliability
 from fgrecon.core.metrics import wrap_angle
@@ -187,7 +187,7 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> PoseSummary:
     def share(members: Sequence[bool]) -> Interval:
         return mean_interval(100.0 * np.array(members, dtype=np.float64), tracks)
 
-    flips = [one.degrees > TURNED_ROUND for one in found]
+    flips = [one.degrees > FLIPPED_DEGREES for one in found]
     silent = [off and one.status == Status.CONVERGED.value for off, one in zip(flips, found, strict=True)]
     metres = np.array([one.metres for one in found])
     sizes = [one.size for one in found if one.size is not None]

@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.labelled_boxes import TURNED_ROUND, BoxOutcome, VideoBox, outcome
+from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, BoxOutcome, VideoBox, outcome
 from fgrecon.calibration.labelled_frames import ScoredFrame
 from fgrecon.calibration.regions import normalised_squared_error
 from fgrecon.calibration.setup import Setup
@@ -340,7 +340,8 @@ def _moving(
     off = (estimated - velocity)[_OVER_GROUND]
     found = replace(found, velocity=float(np.linalg.norm(off)))
     spread = estimate.velocity_covariance
-    if spread is None or found.degrees > TURNED_ROUND or world_T_camera is not None:  # it lacks the camera's own error
+    # With the camera's pose known the covariance lacks the camera's own error.
+    if spread is None or found.degrees > FLIPPED_DEGREES or world_T_camera is not None:
         return found
     over_ground = spread[np.ix_(_OVER_GROUND, _OVER_GROUND)]
     squared = normalised_squared_error(off, over_ground)
