@@ -18,7 +18,7 @@ from fgrecon.cli.options import (
 )
 from fgrecon.cli.outputs import check_not_over, check_outputs, files_in
 from fgrecon.cli.terminal import Terminal
-from fgrecon.core.choices import BoxModel
+from fgrecon.core.choices import BoxModel, BoxOrigin
 
 __all__ = ["refine_command"]
 
@@ -33,6 +33,9 @@ class RefineOptions:
     min_score: Annotated[float, typer.Option(help="Boxes of a lower score stay as they are.")] = 0.5
     box_model: Annotated[BoxModel, typer.Option(help=BOX_MODEL_HELP)] = BoxModel.CUBOID
     weights: WeightsOption = None
+    box_origin: Annotated[
+        BoxOrigin, typer.Option(help="What KITTI's lines give of a box: the centre of its bottom face, or its centre.")
+    ] = BoxOrigin.BOTTOM
 
 
 def refine_command(
@@ -75,6 +78,7 @@ def refine_command(
         camera=camera.source(),
         min_score=options.min_score,
         weights=options.weights,
+        box_origin=options.box_origin,
     )
     files = open_boxes(boxes, images, out, camera.camera)
     read = [*(image.image for image in files.images if image.image is not None), *files_in(camera.calib)]

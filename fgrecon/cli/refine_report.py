@@ -15,6 +15,7 @@ from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.text import counted, printable
 from fgrecon.io.run_settings import camera_to_dict, settings_to_dict
 from fgrecon.perception.refine_files import RefinedImage, RefineRequest
+from fgrecon.solve.box_origin import CENTRES
 
 __all__ = ["FORMAT", "document", "show"]
 
@@ -41,6 +42,8 @@ def show(screen: Screen, done: Sequence[RefinedImage]) -> None:
     for one in done:
         if one.error is not None:
             screen.warn(f"{one.image.name}: the boxes stay as they are: {one.error}")
+    if any(box.message.endswith(CENTRES) for _, _, box in rows):
+        screen.warn(CENTRES)
     changed = [box for _, _, box in rows if box.changed]
     flipped = sum(box.flipped for box in changed)
     screen.print(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["BoxModel", "StrategyName", "TrafficSide"]
+__all__ = ["BoxModel", "BoxOrigin", "StrategyName", "TrafficSide"]
 
 
 class BoxModel(StrEnum):
@@ -18,6 +18,15 @@ class BoxModel(StrEnum):
     """The outline, as the package's own vehicle detector draws it: wider than it is, and lower at the top."""
     OFF = "off"
     """The box places the start and scales the noise, but is no evidence."""
+
+
+class BoxOrigin(StrEnum):
+    """What the location of a 3D box is."""
+
+    BOTTOM = "bottom"
+    """The centre of its bottom face, as in KITTI's files."""
+    CENTRE = "centre"
+    """Its centre."""
 
 
 class TrafficSide(StrEnum):

@@ -34,6 +34,7 @@ __all__ = [
     "input_warning_of",
     "result_warning_of",
     "summed_up",
+    "warn",
     "warn_of",
 ]
 
@@ -167,9 +168,14 @@ def warn_of(doubts: InputWarnings, stacklevel: int) -> None:
     Warns:
         ContradictoryInputWarning: Something is, and nobody sums up.
     """
+    for line in doubts.lines():
+        warn(line, stacklevel + 1)
+
+
+def warn(line: str, stacklevel: int) -> None:
+    """Warn a caller of Python of one thing; as `warn_of`."""
     if not _SUMMED_UP.get():
-        for line in doubts.lines():
-            warnings.warn(line, ContradictoryInputWarning, stacklevel=stacklevel + 1)
+        warnings.warn(line, ContradictoryInputWarning, stacklevel=stacklevel + 1)
 
 
 def input_warning_of(observation: Observation, camera: Camera) -> InputWarning | None:

@@ -15,6 +15,7 @@ from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
 from fgrecon.core.checks import as_instance, as_list, as_rows, as_shape
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.geometry import box_around
+from fgrecon.core.input_warnings import warn
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, Options, checked_options
 from fgrecon.core.refined_box import RefinedBox
@@ -24,6 +25,8 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX, as_rgb8, large_enough, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, find_keypoints
+from fgrecon.solve.box_origin import CENTRES, BoxOrigin, on_bottom, stand_on_centres
+from fgrecon.solve.inputs import as_ground
 from fgrecon.solve.refine import refined
 from fgrecon.solve.scene import reconstruct_scene
 
@@ -44,6 +47,7 @@ def refine_boxes(
     ground: Ground | float | None = None,
     size_prior: SizesLike | None = None,
     options: Options | None = None,
+    box_origin: BoxOrigin | str = BoxOrigin.BOTTOM,
 ) -> list[RefinedBox]:
     """Better 3D boxes of the vehicles in an image, by their keypoints.
 
@@ -62,15 +66,24 @@ def refine_boxes(
         ground: Ground plane; a number is the height in metres of a level camera; None: the boxes say about where it is.
         size_prior: Fleet or size prior for boxes without a size.
         options: Settings; None takes 2D boxes to enclose the projected 3D box, as KITTI's and nuScenes' do.
+        box_origin: What the locations of `boxes` are: centres of their bottom faces, as `Box3D` has them, or of the
+            boxes, which then have sizes. Results have bottom faces.
 
     Returns:
-        What became of each box, in order.
+        What became of each box, in order. None is refined where all stand half their height above a given ground, as
+        boxes do that are given by their centres.
 
     Raises:
         InvalidInputError: An argument cannot be used; names it, its value and the fix.
+
+    Warns:
+        ContradictoryInputWarning: The boxes seem to be given by their centres.
     """
     errors = BoxErrors() if box_errors is None else as_instance("box_errors", box_errors, BoxErrors)
-    boxes = as_list("boxes", boxes, Box3D)
+    boxes = on_bottom(as_list("boxes", boxes, Box3D), BoxOrigin(box_origin))
+    if stand_on_centres(boxes, as_ground(ground)):
+        warn(CENTRES, stacklevel=2)
+        return [RefinedBox(box, box, f"Unchanged: {CENTRES}") for box in boxes]
     if options is None:
         options = Options(box=BoxOptions(model=BoxModel.CUBOID), keep_history=False)
     settings = checked_options(options, joint=True)

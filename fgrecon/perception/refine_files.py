@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from fgrecon.core.box3d import BoxErrors
 from fgrecon.core.camera import Camera
+from fgrecon.core.choices import BoxOrigin
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.refined_box import RefinedBox
-from fgrecon.io.box_lines import Boxed, BoxedImage, boxed_images, text_of
+from fgrecon.io.box_lines import Boxed, BoxedImage, BoxLine, boxed_images, text_of
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.files import behind_links, check_output, write_text
 from fgrecon.io.images import read_image
@@ -26,6 +28,7 @@ from fgrecon.io.nuscenes_detections import Submission, is_submission, read_submi
 from fgrecon.io.run_settings import RunSettings
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
+from fgrecon.solve.box_origin import with_origin
 
 __all__ = ["KINDS", "BoxFiles", "RefineRequest", "RefinedImage", "Refiner", "open_boxes"]
 
@@ -43,6 +46,7 @@ class RefineRequest:
         camera: The given camera; its `calib` may be a folder with a file for each image.
         min_score: Boxes of a lower score stay as they are.
         weights: Keypoint network, or None for the shipped one.
+        box_origin: What the locations of the files are; those that are written are alike. nuScenes' are known.
     """
 
     errors: BoxErrors
@@ -50,6 +54,7 @@ class RefineRequest:
     camera: CameraSource
     min_score: float = 0.5
     weights: Path | None = None
+    box_origin: BoxOrigin = BoxOrigin.BOTTOM
 
     def __post_init__(self) -> None:
         """Check the score.
@@ -72,6 +77,7 @@ class RefinedImage:
         offset: (3,) where the labels' frame is from the camera's.
         boxes: The vehicles with what became of their boxes.
         error: Why nothing could be done, or None.
+        box_origin: What the locations of the file are.
     """
 
     image: BoxedImage[Boxed]
@@ -79,11 +85,16 @@ class RefinedImage:
     offset: NDArray[np.float64]
     boxes: tuple[tuple[Boxed, RefinedBox], ...]
     error: FgreconError | None = None
+    box_origin: BoxOrigin = BoxOrigin.BOTTOM
 
     @property
     def changed(self) -> dict[int, Any]:
         """How the file has the vehicles whose boxes were refined, by their numbers."""
-        return {line.number: line.with_box(box.box, self.offset) for line, box in self.boxes if box.changed}
+        return {
+            line.number: line.with_box(with_origin(box.box, self.box_origin), self.offset)
+            for line, box in self.boxes
+            if box.changed
+        }
 
 
 class Refiner:
@@ -110,19 +121,23 @@ class Refiner:
             ]
             pixels = read_image(image.image)
             sized = camera.with_size_of(pixels)
-            refined = refine_boxes(
-                pixels,
-                [box for _, box in boxed],
-                sized,
-                corners=np.array([line.corners for line, _ in boxed]).reshape(-1, 4),
-                box_errors=self.request.errors,
-                keypoint_detector=self._network,
-                **self.request.settings.arguments(),
-            )
+            of_lines = all(isinstance(line, BoxLine) for line in image.objects)
+            origin = self.request.box_origin if of_lines else BoxOrigin.BOTTOM
+            with summed_up():
+                refined = refine_boxes(
+                    pixels,
+                    [box for _, box in boxed],
+                    sized,
+                    corners=np.array([line.corners for line, _ in boxed]).reshape(-1, 4),
+                    box_errors=self.request.errors,
+                    keypoint_detector=self._network,
+                    box_origin=origin,
+                    **self.request.settings.arguments(),
+                )
         except FgreconError as error:
             return RefinedImage(image, None, nowhere, (), error)
         lines = [line for line, _ in boxed]
-        return RefinedImage(image, sized, offset, tuple(zip(lines, refined, strict=True)))
+        return RefinedImage(image, sized, offset, tuple(zip(lines, refined, strict=True)), box_origin=origin)
 
     @cached_property
     def _network(self) -> KeypointCascade:
