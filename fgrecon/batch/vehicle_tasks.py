@@ -22,6 +22,7 @@ from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, refuse_other_file
 from fgrecon.io.keypoints import NOT_JSON, parse_any_keypoints, read_any_keypoints
+from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.track_file import parse_track
 from fgrecon.perception.keypoints.detect import CascadeDetection, KeypointCascade, check_box
 from fgrecon.perception.protocols import check_category
@@ -189,7 +190,8 @@ def image_tasks(
         watch: Shows progress.
 
     Returns:
-        The vehicles, with the photograph's EXIF camera where none is given, or one of unknown focal length.
+        The vehicles. Where no camera is given it is that of KITTI's `calib` beside the image, the photograph's EXIF
+        camera, or one of unknown focal length.
 
     Raises:
         InvalidInputError: A box cannot be used, or there is no network.
@@ -197,6 +199,8 @@ def image_tasks(
     image = source.image
     assert image is not None
     camera, offset = source.camera(path.name)
+    if camera is None and source.crop is None and (beside := calibration_beside(path)) is not None:
+        camera, offset = beside.camera, beside.label_offset
     if camera is None:
         camera = source.assumed((image.shape[1], image.shape[0]))
     complete = source.complete(camera, declared=False)

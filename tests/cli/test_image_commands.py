@@ -78,7 +78,11 @@ def test_a_network_of_another_category_than_the_prior_is_refused(street, weights
 
 def test_an_image_is_reconstructed_with_a_warning_about_the_camera(street, weights):
     image = street / "image_2" / "000001.png"
+    beside = run("reconstruct", image, "--box", "10,10,90,80", "--weights", weights, "--json", "-")
+    assert "focal length is" not in beside.stderr, "KITTI's calib beside image_2 has the camera"
+    (street / "calib").rename(street / "calibrations")
     done = run("reconstruct", image, "--box", "10,10,90,80", "--weights", weights, "--json", "-")
+    (street / "calibrations").rename(street / "calib")
     assert done.exit_code == 0, done.output
     assert "focal length is" in done.stderr
     (entry,) = json.loads(done.stdout)["instances"]

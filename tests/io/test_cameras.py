@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.io.cameras import read_camera
+from fgrecon.io.cameras.camera_source import CameraSource
 
 from .formats import spoilt, write
 
@@ -324,3 +325,13 @@ def test_messages_as_ros2_topic_echo_ends_them(tmp_path):
     (tmp_path / "c.yaml").write_text(message + message.replace("610.0", "611.0"))
     with pytest.raises(InvalidInputError, match="2 messages that differ"):
         read_camera(tmp_path / "c.yaml")
+
+
+def test_a_folder_of_kittis_calibrations_has_one_for_each_image(tmp_path):
+    for number, focal in enumerate((700.0, 800.0)):
+        row = f"{focal} 0 600 0 0 {focal} 180 0 0 0 1 0"
+        (tmp_path / f"{number:06d}.txt").write_text(f"P2: {row}\n")
+    source = CameraSource(calib=tmp_path)
+    assert [source.camera(f"{n:06d}.png")[0].matrix[0, 0] for n in (0, 1)] == [700, 800]
+    with pytest.raises(InvalidInputError, match=r"000002\.txt"):
+        source.camera("000002.png")

@@ -38,7 +38,7 @@ class CameraSource:
     """What is given about a camera; every part may be None.
 
     Attributes:
-        calib: KITTI calibration file.
+        calib: KITTI calibration file, or a folder with one for each image, of its name.
         intrinsics: fx, fy, cx, cy in pixels.
         distortion: OpenCV's 4, 5, 8, 12 or 14 coefficients.
         file: Calibration file of any format, as `fgrecon.io.cameras.read_camera` takes it.
@@ -110,7 +110,8 @@ class CameraSource:
                 "Give either a camera file (--camera), a calibration (--calib) or intrinsics (--intrinsics).",
             )
         if self.calib is not None:
-            calibration = read_calibration(self.calib)
+            of_image = self.calib / f"{Path(image).stem}.txt" if image is not None else self.calib
+            calibration = read_calibration(of_image if self.calib.is_dir() else self.calib)
             return MountedCamera(calibration.camera, calibration.label_offset)
         return None if self.file is None else read_camera(self.file, image)
 
