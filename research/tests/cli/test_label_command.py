@@ -128,8 +128,8 @@ def test_nothing_to_label_is_a_failure_and_writes_nothing(known, drive, tmp_path
     [
         (["--out", "labels.txt"], "json"),
         (["--out", "nowhere/labels.json"], "nowhere"),
-        (["--kinds", ","], "wanted.kinds"),
-        (["--truncation", "2"], "wanted.truncation"),
+        (["--kinds", ","], "selection.kinds"),
+        (["--truncation", "2"], "selection.truncation"),
     ],
 )
 def test_bad_options_are_named_before_the_work(known, drive, tmp_path, monkeypatch, more, named):
