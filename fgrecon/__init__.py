@@ -32,11 +32,11 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.options import BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
     from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
     from fgrecon.core.refined_box import RefinedBox
+    from fgrecon.core.result_fields import Regions
     from fgrecon.core.robust import RobustStrategy, strategy
     from fgrecon.core.scene_reconstruction import SceneReconstruction
     from fgrecon.core.shape_prior import ShapePrior, Surface
     from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
-    from fgrecon.core.status import Regions
     from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
     from fgrecon.core.vehicle_estimate import VehicleEstimate
     from fgrecon.io.catalogue import load_calibration, load_category, load_prior, save_calibration, save_prior

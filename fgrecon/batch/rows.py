@@ -16,8 +16,8 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.reconstruction import Alternative, Diagnostics, Pose, Reconstruction, Shape, Status, Uncertainty
+from fgrecon.core.result_fields import Regions
 from fgrecon.core.serialise import finite
-from fgrecon.core.status import Regions
 
 __all__ = [
     "failed_row",

@@ -1,10 +1,10 @@
-"""What led to a result: the steps of the optimisation, the factors of the graph that it ended in, and other ends."""
+"""What led to a result, made when first read: the steps of the optimisation, the graph's factors, and other ends."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,70 @@ from numpy.typing import NDArray
 from fgrecon.core.repr import brief_repr
 from fgrecon.core.serialise import array, numbers
 
-__all__ = ["Alternative", "GraphFactor", "Iteration", "read_alternative", "read_graph_factor", "read_iteration"]
+__all__ = [
+    "Alternative",
+    "Deferred",
+    "GraphFactor",
+    "Iteration",
+    "read_alternative",
+    "read_graph_factor",
+    "read_iteration",
+]
+
+
+T = TypeVar("T")
+
+
+class Deferred(Sequence[T]):
+    """An immutable sequence whose items are made on first use, once; it pickles as the tuple of them."""
+
+    __slots__ = ("_items", "_make")
+
+    def __init__(self, make: Callable[[], Iterable[T]]) -> None:
+        """Remember how to make the items."""
+        self._make: Callable[[], Iterable[T]] | None = make
+        self._items: tuple[T, ...] = ()
+
+    def _all(self) -> tuple[T, ...]:
+        make = self._make
+        if make is not None:
+            self._items = tuple(make())
+            self._make = None  # and with it whatever the items were made from
+        return self._items
+
+    def __len__(self) -> int:
+        """Number of items."""
+        return len(self._all())
+
+    @overload
+    def __getitem__(self, index: int) -> T: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[T, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> T | tuple[T, ...]:
+        """An item, or a tuple of some."""
+        return self._all()[index]
+
+    def __iter__(self) -> Iterator[T]:
+        """Over the items."""
+        return iter(self._all())
+
+    def __eq__(self, other: object) -> bool:
+        """As the tuple of the items."""
+        return self._all() == (other._all() if isinstance(other, Deferred) else other)
+
+    def __hash__(self) -> int:
+        """As the tuple of the items."""
+        return hash(self._all())
+
+    def __repr__(self) -> str:
+        """As the tuple of the items."""
+        return repr(self._all())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy as the tuple of the items."""
+        return tuple, (self._all(),)
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,9 @@ from fgrecon.core.history import Alternative, GraphFactor, Iteration
 from fgrecon.core.observation import Observation
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
 from fgrecon.core.repr import brief_repr
-from fgrecon.core.result_fields import FIELDS, read_fields
+from fgrecon.core.result_fields import FIELDS, Regions, Status, read_fields
 from fgrecon.core.rounding import rounded
-from fgrecon.core.serialise import plain
-from fgrecon.core.status import Regions, Status
-from fgrecon.core.table import as_arrow, as_pandas
+from fgrecon.core.serialise import as_arrow, as_pandas, plain
 
 if TYPE_CHECKING:
     from gtsam import Pose3

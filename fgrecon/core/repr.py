@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
-
-from fgrecon.core.deferred import Deferred
 
 __all__ = ["brief_repr"]
 
@@ -29,7 +27,7 @@ def _brief(value: Any) -> str:
     if isinstance(value, Mapping):
         few = len(value) <= _FEW
         return f"{{{', '.join(f'{k!r}: {_brief(v)}' for k, v in value.items())}}}" if few else f"{len(value)} items"
-    if isinstance(value, list | tuple | Deferred):
+    if isinstance(value, Sequence) and not isinstance(value, str):
         plain = all(item is None or isinstance(item, str | int | float) for item in value)
         return repr(value) if plain and len(value) <= _FEW else f"{len(value)} items"
     return repr(value).partition("\n")[0]

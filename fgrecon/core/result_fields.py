@@ -1,9 +1,10 @@
-"""The fields of a result's JSON, all in one level: which group of a `Reconstruction` has each, and how it is read."""
+"""How a result ended, and the fields of its JSON, all in one level: the group of each, and how it is read."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,45 @@ from factors.checks import has_shape, shape_words
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.history import read_alternative, read_graph_factor, read_iteration
 from fgrecon.core.serialise import array, indices, numbers, pairs, square, well_formed
-from fgrecon.core.status import Regions, Status
 
-__all__ = ["FIELDS", "check_shapes", "read_fields"]
+__all__ = ["FIELDS", "Regions", "Status", "check_shapes", "read_fields"]
 
 _FIX = "Give the result as fgrecon wrote it"
+
+
+class Status(StrEnum):
+    """How a reconstruction ended."""
+
+    CONVERGED = "converged"
+    WEAK = "weak"
+    """It converged, but little carries it, or it is at odds with what was told: see `reasons`."""
+    AMBIGUOUS = "ambiguous"
+    """Another pose explains the keypoints nearly as well (see `alternatives`), or another focal length the image."""
+    DEGENERATE = "degenerate"
+    """The keypoints leave a direction undetermined, or nearly so: see `message` and the covariances."""
+    FAILED = "failed"
+    """The optimisation gave up, and this is the state before: see `message`."""
+
+    @property
+    def settled(self) -> bool:
+        """Whether one pose was found, and a minimum there."""
+        return self in (Status.CONVERGED, Status.WEAK)
+
+    @property
+    def determined(self) -> bool:
+        """Whether the keypoints determine a pose, be it one of several."""
+        return self.settled or self is Status.AMBIGUOUS
+
+
+class Regions(StrEnum):
+    """What the covariances of a result rest on."""
+
+    ASSUMED = "assumed"
+    """The keypoints bring none: errors of `KeypointOptions.sigma_relative` and `sigma_pixels` are assumed."""
+    SHIPPED = "shipped"
+    """Those of the keypoints, counted as the shipped networks' are (`KeypointOptions.common_factor`)."""
+    FITTED = "fitted"
+    """Those of the keypoints, counted as `fgrecon calibrate` found for their detector."""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
-"""Between arrays, enumerations and dataclasses and the plain values of JSON: numbers keep every bit."""
+"""Between arrays, enumerations and dataclasses and plain values, which keep every bit: of JSON, and of tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.deferred import Deferred
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError, MissingPackageError
+from fgrecon.core.text import whole_text
 
-__all__ = ["array", "finite", "indices", "numbers", "pairs", "plain", "square", "well_formed"]
+__all__ = ["array", "as_arrow", "as_pandas", "finite", "indices", "numbers", "pairs", "plain", "square", "well_formed"]
 
 
 def plain(value: Any) -> Any:
@@ -30,7 +30,7 @@ def plain(value: Any) -> Any:
         return int(value)
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | Deferred):
+    if isinstance(value, Sequence) and not isinstance(value, str):
         return [plain(item) for item in value]
     if is_dataclass(value):
         return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
@@ -92,3 +92,28 @@ def well_formed(where: str, fix: str) -> Iterator[None]:
         raise InvalidInputError(f"{where}: {error.field}", error.value, error.fix) from error
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise InvalidInputError(where, f"malformed: {error}", fix) from error
+
+
+def as_pandas(rows: Sequence[Mapping[str, Any]]) -> Any:
+    """Rows as a `pandas.DataFrame`.
+
+    Raises:
+        MissingPackageError: pandas is not installed.
+    """
+    try:
+        import pandas as pd
+    except ImportError as error:
+        raise MissingPackageError("pandas", "A table as a pandas.DataFrame") from error
+    return pd.DataFrame(_whole(rows))
+
+
+def as_arrow(rows: Sequence[Mapping[str, Any]]) -> Any:
+    """Rows as a `pyarrow.Table`."""
+    import pyarrow as pa
+
+    return pa.Table.from_pylist(_whole(rows))
+
+
+def _whole(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The rows with texts that a table can hold: names of files need not be UTF-8."""
+    return [{key: whole_text(value) if isinstance(value, str) else value for key, value in row.items()} for row in rows]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
 from fgrecon.core.reconstruction import GraphFactor, Reconstruction, Status
 from fgrecon.core.repr import brief_repr
-from fgrecon.core.table import as_arrow, as_pandas
+from fgrecon.core.serialise import as_arrow, as_pandas
 from fgrecon.core.text import counted
 
 __all__ = ["JointStep", "TrackReconstruction"]

@@ -10,9 +10,9 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.deferred import Deferred
 from fgrecon.core.detection import calibrated_facing, pose_facing_probability
 from fgrecon.core.geometry import transform
+from fgrecon.core.history import Deferred
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import (
     Alternative,
@@ -26,8 +26,8 @@ from fgrecon.core.reconstruction import (
     Uncertainty,
     rotation_y,
 )
+from fgrecon.core.result_fields import Regions
 from fgrecon.core.size_prior import LONGEST, SHORTEST
-from fgrecon.core.status import Regions
 from fgrecon.core.text import counted
 from fgrecon.solve.box_check import box_excess
 from fgrecon.solve.graph.covariance import Covariances, Spread, factorise, read_covariances

@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_list
-from fgrecon.core.deferred import Deferred
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.core.history import Deferred
 from fgrecon.core.input_warnings import InputWarnings, warn_of
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options

@@ -16,7 +16,7 @@ from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
-from fgrecon.core.status import Status
+from fgrecon.core.result_fields import Status
 from fgrecon.solve.solve_settings import STATUS
 
 __all__ = ["off_ground", "unknown_focal", "weaknesses"]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.sides import SIDE_COLOURS, SURFACE, Colour, Side, edge_sides, keypoint_sides
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, SURFACE, Colour, Side, edge_sides, keypoint_sides
 
 __all__ = [
     "BACKGROUND",

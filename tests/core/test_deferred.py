@@ -3,7 +3,7 @@
 import copy
 import pickle
 
-from fgrecon.core.deferred import Deferred
+from fgrecon.core.history import Deferred
 from fgrecon.core.serialise import plain
 
 

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fgrecon.core.deferred import Deferred
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.history import Deferred
 from fgrecon.core.reconstruction import (
     Alternative,
     Diagnostics,

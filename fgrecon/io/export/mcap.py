@@ -20,8 +20,8 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.sides import SURFACE
 from fgrecon.core.text import distinct, whole_text
+from fgrecon.core.vehicle_mesh import SURFACE
 from fgrecon.io.export.image_info import (
     EVERY,
     ImageInfo,

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.sides import SIDE_COLOURS, SURFACE, Colour, edge_sides, keypoint_sides
 from fgrecon.core.text import distinct
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, SURFACE, Colour, edge_sides, keypoint_sides
 from fgrecon.io.export.results import NamedResult
 
 __all__ = ["glb_bytes", "ply_bytes"]

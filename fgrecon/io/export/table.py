@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.table import as_arrow
+from fgrecon.core.serialise import as_arrow
 from fgrecon.core.text import whole_text
 from fgrecon.io.export.results import NamedResult
 

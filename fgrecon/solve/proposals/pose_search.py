@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.box3d import Box3D
-from fgrecon.core.deferred import Deferred
 from fgrecon.core.errors import DegenerateProblemError
+from fgrecon.core.history import Deferred
 from fgrecon.core.reconstruction import Alternative, Iteration
 from fgrecon.solve.proposals.irls import algorithm1
 from fgrecon.solve.proposals.problem import Problem
