@@ -10,6 +10,7 @@ from fgrecon.core.errors import (
     FgreconError,
     InvalidInputError,
     MissingPackageError,
+    UncoveredFramesWarning,
 )
 
 __all__ = [
@@ -22,4 +23,5 @@ __all__ = [
     "FgreconError",
     "InvalidInputError",
     "MissingPackageError",
+    "UncoveredFramesWarning",
 ]
