@@ -29,8 +29,6 @@ if TYPE_CHECKING:  # on use: most of this needs numpy alone
 
     from factors.projection_kernel import Projection, ProjectionKernel
 
-__all__ = ["OUTWARD", "BoxRows", "crease_rows", "extents_by_points", "kink", "projected_extents", "soft_extents"]
-
 Array = NDArray[np.float64]
 
 OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])

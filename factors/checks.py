@@ -7,9 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from factors.errors import InvalidInputError
 
-__all__ = ["finite_array", "has_shape", "index_array", "shape_words", "unit_vector"]
-
-
 _LARGE = 1e100
 """Squares of numbers that are larger are soon beyond what floats hold."""
 

@@ -22,8 +22,6 @@ from factors.ground import ground_rows
 from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
 
-__all__ = ["GroundFrame", "contact_factor"]
-
 Array = NDArray[np.float64]
 
 

@@ -23,8 +23,6 @@ from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
 
-__all__ = ["detected_origin_factor", "detected_yaw_factor"]
-
 _NEAREST = 1e-3  # metres; nearer, the direction of an origin means nothing
 
 

@@ -17,8 +17,6 @@ from factors.noise import diagonal_noise
 from factors.shape import LinearShape
 from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
 
-__all__ = ["DimensionsTerm", "dimensions_factor"]
-
 Array = NDArray[np.float64]
 
 

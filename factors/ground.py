@@ -18,8 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GroundRows", "ground_rows"]
-
 Array = NDArray[np.float64]
 
 

@@ -25,8 +25,6 @@ from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
 
-__all__ = ["ground_transition_factor"]
-
 Array = NDArray[np.float64]
 
 

@@ -25,8 +25,6 @@ from factors.errors import FactorCallbackError, InvalidInputError
 from factors.keys import key_name
 from factors.noise import Noise, as_noise
 
-__all__ = ["Callback", "Evaluation", "guarded_factor"]
-
 Evaluation = tuple[NDArray[np.float64], NDArray[np.float64] | None]
 """Residual (rows,) and Jacobian (rows, sum of the dimensions of all keys); the latter may be None where not wanted."""
 

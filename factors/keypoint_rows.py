@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
 
-__all__ = ["SMALLEST_WEIGHT", "KeypointRows", "whiteners"]
-
 Array = NDArray[np.float64]
 
 SMALLEST_WEIGHT = 1e-12

@@ -31,8 +31,6 @@ import gtsam
 
 from factors.errors import InvalidInputError
 
-__all__ = ["DecodedKey", "F", "G", "L", "M", "O", "P", "S", "V", "X", "decode_key", "key_name"]
-
 _LOW_BITS = 32
 _VEHICLES = 1 << (56 - _LOW_BITS)
 _LOWS = 1 << _LOW_BITS

@@ -30,8 +30,6 @@ from factors.noise import Noise
 from factors.shape import LinearShape
 from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
 
-__all__ = ["LaplacianTerm", "laplacian_factor"]
-
 Array = NDArray[np.float64]
 
 

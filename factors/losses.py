@@ -14,8 +14,6 @@ from factors.errors import InvalidInputError
 if TYPE_CHECKING:  # on use: weights need numpy alone
     import gtsam
 
-__all__ = ["Loss", "RobustLoss"]
-
 _LARGEST = 1e50  # beyond, squares are soon no floats
 
 

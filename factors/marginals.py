@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
 
-__all__ = ["Marginal", "marginal", "marginal_factor"]
-
 Array = NDArray[np.float64]
 
 _DAMPED = 1e-9  # of the diagonal of what is eliminated: directions that nothing determines

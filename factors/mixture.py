@@ -22,8 +22,6 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["STIFFEST", "Form", "mixture", "robust_rows"]
-
 Array = NDArray[np.float64]
 
 STIFFEST = 0.1

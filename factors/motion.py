@@ -28,8 +28,6 @@ from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
 
-__all__ = ["drive_factor", "motion_factor", "moved"]
-
 Array = NDArray[np.float64]
 
 _TWIST = np.zeros((6, 3))

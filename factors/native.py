@@ -16,8 +16,6 @@ from factors.errors import InvalidInputError
 if TYPE_CHECKING:
     from types import ModuleType
 
-__all__ = ["native"]
-
 _VARIABLE = "FGRECON_KERNEL"
 _FOUND: dict[str, ModuleType | None] = {}
 

@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
 
-__all__ = ["Noise", "as_noise", "diagonal_noise", "full_noise"]
-
 Noise = gtsam.noiseModel.Base | float
 """A noise model, or one sigma for every row of the residual, in the residual's unit."""
 

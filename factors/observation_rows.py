@@ -31,8 +31,6 @@ from factors.mixture import Form, robust_rows
 from factors.projection import SHALLOWEST
 from factors.projection_kernel import ProjectionKernel
 
-__all__ = ["ObservationRows", "check_in_front", "observation_factor", "reprojection_factor", "term_factor"]
-
 Array = NDArray[np.float64]
 
 

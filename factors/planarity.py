@@ -28,8 +28,6 @@ from factors.noise import Noise
 from factors.shape import LinearShape
 from factors.shape_factor import FaceLike, ShapeContext, ShapeTerm, shape_factor
 
-__all__ = ["PlanarityTerm", "ground_parallel_factor", "planarity_factor"]
-
 Array = NDArray[np.float64]
 
 _UP = (0.0, -1.0, 0.0)

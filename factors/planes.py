@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from factors.checks import finite_array, unit_vector
 from factors.errors import DegenerateProblemError
 
-__all__ = ["fit_plane", "make_plane", "tangent_basis"]
-
 _FLATTEST = 1e-6
 
 

@@ -14,8 +14,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LEAST_DEPTH", "SHALLOWEST", "by_pose", "cross", "pixel_jacobian", "project"]
-
 Array = NDArray[np.float64]
 
 LEAST_DEPTH = 1e-3

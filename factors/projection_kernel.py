@@ -22,8 +22,6 @@ from factors.errors import InvalidInputError
 from factors.projection import by_pose, pixel_jacobian, project
 from factors.shape import LinearShape
 
-__all__ = ["Projection", "ProjectionKernel"]
-
 Array = NDArray[np.float64]
 
 

@@ -23,8 +23,6 @@ from factors.noise import Noise
 from factors.shape import LinearShape
 from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
 
-__all__ = ["SHORTEST_DIAGONAL", "RectangularityTerm", "rectangles", "rectangularity_factor"]
-
 Array = NDArray[np.float64]
 
 SHORTEST_DIAGONAL = 1e-9

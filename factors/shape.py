@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
 
-__all__ = ["LinearShape"]
-
 
 class LinearShape:
     """Keypoints X (K, 3) of the object frame, in metres, linear in lambda and in the free offsets.

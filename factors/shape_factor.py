@@ -24,8 +24,6 @@ if TYPE_CHECKING:  # on use: names need nothing
     from factors.noise import Noise
     from factors.shape import LinearShape
 
-__all__ = ["SHAPE_TERMS", "FaceLike", "PointRows", "ShapeContext", "ShapeTerm", "shape_factor", "shape_terms"]
-
 Array = NDArray[np.float64]
 
 SHAPE_TERMS = {

@@ -17,8 +17,6 @@ from factors.marginals import Marginal, marginal_factor
 from factors.noise import diagonal_noise
 from factors.shape_factor import ShapeContext, ShapeTerm
 
-__all__ = ["CoefficientsTerm", "OffsetsTerm", "coefficients_prior", "offsets_prior", "spread_prior"]
-
 Array = NDArray[np.float64]
 
 SMALLEST_OFFSET_SIGMA = 1e-4

@@ -19,8 +19,6 @@ from factors.planes import tangent_basis
 from factors.rectangularity import rectangles
 from factors.shape_factor import ShapeContext
 
-__all__ = ["STACKED", "ShapeTerms"]
-
 Array = NDArray[np.float64]
 
 STACKED = ("symmetry", "rectangularity", "dimensions")

@@ -22,8 +22,6 @@ from factors.noise import Noise
 from factors.shape import LinearShape
 from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
 
-__all__ = ["SymmetryTerm", "symmetry_factor"]
-
 Array = NDArray[np.float64]
 
 

@@ -14,8 +14,6 @@ from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.keypoints.names import parse_names
 from fgrecon.io.run_settings import RunSettings, camera_to_dict, content_hash, settings_to_dict
 
-__all__ = ["BatchRequest", "reconstruct_files"]
-
 
 @dataclass(frozen=True)
 class BatchRequest:

@@ -19,8 +19,6 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.io.export.results import NamedResult, Surfaces, ground_of
 from fgrecon.io.json_fields import read_json
 
-__all__ = ["read_folder"]
-
 _FIX = "Give the folder as fgrecon wrote it."
 
 

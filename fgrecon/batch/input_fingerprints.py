@@ -20,8 +20,6 @@ from fgrecon.io.files import write_text
 from fgrecon.io.integrity import MADE_AGAIN, stored
 from fgrecon.io.json_fields import read_json
 
-__all__ = ["INPUTS", "check_unedited"]
-
 INPUTS = "_inputs.json"
 """The fingerprints of a run's files; beside the parts."""
 

@@ -15,8 +15,6 @@ from fgrecon.batch.rows import lost_rows, single_tasks
 from fgrecon.batch.tasks import Tasks, TaskSolver
 from fgrecon.core.errors import MissingPackageError
 
-__all__ = ["work_on_ray"]
-
 _REPORT_SECONDS = 60.0
 """Within this time Ray reports that an actor is dead (not tuned)."""
 

@@ -20,8 +20,6 @@ from fgrecon.io.integrity import MADE_AGAIN, stored
 from fgrecon.io.isolated import Isolated
 from fgrecon.io.json_fields import parse_json, read_json
 
-__all__ = ["RECORDS", "RUN", "Parts", "RowOutcome", "begin", "claimed", "made", "refuse_batch", "refuse_video"]
-
 RUN = "_run.json"
 """What the run is: readers of Parquet folders leave names alone that begin with an underscore."""
 

@@ -22,8 +22,6 @@ from typing import Any, ClassVar, Generic, TypeVar
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.processes import keep, one_thread_each, run_kept
 
-__all__ = ["Worker", "WorkerDiedError", "drive", "work"]
-
 _TRIES = 2
 """How often a piece is tried before it is taken apart, and a part before it is given up."""
 

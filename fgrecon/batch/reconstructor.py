@@ -38,8 +38,6 @@ from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles
 
 if TYPE_CHECKING:
     from fgrecon.io.source_frames import SourceFrame
-__all__ = ["Pictures", "Reconstructor"]
-
 Row = dict[str, Any]
 
 

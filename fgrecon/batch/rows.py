@@ -19,18 +19,6 @@ from fgrecon.core.reconstruction import Alternative, Diagnostics, Pose, Reconstr
 from fgrecon.core.result_fields import Regions
 from fgrecon.core.serialise import finite
 
-__all__ = [
-    "failed_row",
-    "id_in_image",
-    "lost_rows",
-    "origin_of",
-    "reconstruction_of",
-    "single_tasks",
-    "solved_row",
-    "storable",
-    "table_of",
-]
-
 Array = NDArray[np.float64]
 
 

@@ -21,8 +21,6 @@ from fgrecon.batch.tasks import Tasks, TaskSolver
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.input_warnings import InputWarning, InputWarnings
 
-__all__ = ["Tally", "run"]
-
 _VEHICLES, _PICTURES = 32, 8
 """Rows that a worker gets at once: about a second's work."""
 

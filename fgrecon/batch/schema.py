@@ -6,8 +6,6 @@ from typing import Any
 
 import pyarrow as pa
 
-__all__ = ["EMPTY", "ERROR", "FORMAT", "REFUSED", "SCHEMA_VERSION", "result_schema", "task_schema"]
-
 SCHEMA_VERSION = 2
 FORMAT = f"fgrecon.batch/{SCHEMA_VERSION}"
 

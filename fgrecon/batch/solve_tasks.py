@@ -22,19 +22,6 @@ from fgrecon.io.run_settings import RunSettings
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
 
-__all__ = [
-    "Outcome",
-    "SolvedImage",
-    "check_any",
-    "fit_warnings",
-    "grounds_of",
-    "left_out_lines",
-    "solve_same_camera",
-    "solve_task",
-    "solve_tasks",
-    "with_closest",
-]
-
 _PIECE = 8  # vehicles that a process gets at once
 
 _Solved = tuple[int, Reconstruction | None, tuple[type[FgreconError], tuple[Any, ...]] | None]

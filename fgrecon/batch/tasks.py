@@ -17,8 +17,6 @@ import pyarrow as pa
 from fgrecon.batch.schema import task_schema
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["TaskSolver", "Tasks", "instance_text", "nested", "record_of"]
-
 Tasks = Sequence[Mapping[str, Any]]
 """Rows of `task_schema`: whoever hands them out makes no table of them, and needs no memory for that."""
 

@@ -27,17 +27,6 @@ from fgrecon.io.track_file import parse_track
 from fgrecon.perception.keypoints.detect import CascadeDetection, KeypointCascade, check_box
 from fgrecon.perception.protocols import check_category
 
-__all__ = [
-    "KeypointRequest",
-    "ReadTasks",
-    "VehicleTask",
-    "Watch",
-    "detect_in_boxes",
-    "image_tasks",
-    "input_warnings",
-    "read_tasks",
-]
-
 Watch = Callable[[Sequence[Any], str], Iterable[Any]]
 """Goes through some things, and shows under a heading how far that has come."""
 

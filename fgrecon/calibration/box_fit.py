@@ -18,8 +18,6 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 
-__all__ = ["SeenBox", "check_whole_cars", "fit_boxes", "seen_boxes"]
-
 Array = NDArray[np.float64]
 
 _MAD = 1.4826  # from the median absolute deviation to a normal standard deviation

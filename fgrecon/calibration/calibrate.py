@@ -13,8 +13,6 @@ from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_drives import Drive, read_images
 
-__all__ = ["CalibratedDetector", "calibrate_detector"]
-
 _EDGES = "Where the boxes' edges lie"
 _NUMBERS = "How far the network's errors go together, and its facings,"
 

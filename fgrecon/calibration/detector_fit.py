@@ -23,8 +23,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import KeypointOptions
 from fgrecon.io.kitti_drives import Drive
 
-__all__ = ["FACTORS", "FittedDetector", "as_said", "check_labels", "check_solved", "fit_detector", "holding"]
-
 FACTORS = SETTINGS.common_factors
 """The common factors that vehicles are reconstructed with; what is fitted lies between them."""
 

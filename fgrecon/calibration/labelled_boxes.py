@@ -27,21 +27,6 @@ from fgrecon.io.kitti_drives import DriveFrame
 from fgrecon.io.kitti_files import Objects
 from fgrecon.io.track_file import GroundTruth
 
-__all__ = [
-    "FLIPPED_DEGREES",
-    "SYSTEM",
-    "BoxOutcome",
-    "VideoBox",
-    "View",
-    "box_coverage",
-    "claimed_regions",
-    "labelled_azimuth",
-    "matched",
-    "outcome",
-    "view_of",
-    "wanted",
-]
-
 Array = NDArray[np.float64]
 
 FLIPPED_DEGREES = 90.0

@@ -24,8 +24,6 @@ from fgrecon.io.kitti_drives import Drive, read_images
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.vehicles import NanodetVehicleDetector
 
-__all__ = ["DriveRequest", "GivenScene", "ScoredDrives", "check_names", "read_folds", "score_drives"]
-
 Advance = Callable[[str, float, float | None, str], None]
 """Called with a step, how much of it is done, of how much, and what was done last."""
 

@@ -31,8 +31,6 @@ from fgrecon.perception.boxes import large_vehicles
 from fgrecon.perception.from_image import FromImage
 from fgrecon.video.records import Sighting
 
-__all__ = ["Looked", "Rivals", "ScoredFrame", "looks_at", "no_rivals", "reconstruct_frame", "score_frames"]
-
 Array = NDArray[np.float64]
 
 Rivals = Callable[[Camera, TrackFrame, Array], Mapping[str, BoxOutcome]]

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from fgrecon.io.kitti_files import Objects
 
-__all__ = ["MINIMUM_OVERLAP", "box_overlap", "match_detections", "shared_ratio"]
-
 Array = NDArray[np.float64]
 
 MINIMUM_OVERLAP = {"Car": 0.7, "Pedestrian": 0.5, "Cyclist": 0.5}

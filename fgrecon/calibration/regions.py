@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from fgrecon.core.geometry import position_covariance
 from fgrecon.core.reconstruction import Reconstruction
 
-__all__ = ["DIMENSIONS", "Claimed", "claimed", "normalised_squared_error"]
-
 Array = NDArray[np.float64]
 
 DIMENSIONS = {"position": 3, "yaw": 1, "size": 3, "velocity": 2}

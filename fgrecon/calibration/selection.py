@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_drives import DriveFrame
 
-__all__ = ["LeftOut", "Reason", "Selection"]
-
 
 class Reason(StrEnum):
     """Why an object has no keypoints. That the network disagrees is none: boxes are the truth."""

@@ -17,8 +17,6 @@ from fgrecon.perception.from_image import FromImage, reconstruct_image
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.protocols import VehicleDetector
 
-__all__ = ["SETTINGS", "CalibrationSettings", "SceneKnowledge", "Setup", "reconstruct_boxes"]
-
 Array = NDArray[np.float64]
 
 

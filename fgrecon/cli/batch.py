@@ -15,8 +15,6 @@ from fgrecon.core.choices import BoxModel
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.batch import Tally
 
-__all__ = ["batch_command"]
-
 _LISTED = 3
 """Errors that are listed where nothing could be reconstructed."""
 

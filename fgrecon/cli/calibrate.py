@@ -13,8 +13,6 @@ from fgrecon.cli.terminal import Terminal, headed_table
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.calibration.labelled_drives import ScoredDrives
 
-__all__ = ["calibrate_command"]
-
 
 def calibrate_command(
     folders: DrivesArgument,

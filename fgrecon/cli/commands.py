@@ -18,8 +18,6 @@ from typer.core import TyperCommand, TyperGroup
 from fgrecon.cli.outputs import check_apart
 from fgrecon.core.errors import MissingPackageError
 
-__all__ = ["add_command", "grouped", "new_group"]
-
 Command = Callable[..., None]
 
 RESEARCH = "fgrecon-research"

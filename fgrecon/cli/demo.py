@@ -12,8 +12,6 @@ from fgrecon.cli.options import JsonOption, Viewer
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Verbosity
 
-__all__ = ["DEMO_SEED", "demo_command"]
-
 DEMO_SEED = 2
 """Chosen among 0 to 9: all cars of its two scenes end nearer to the truth than they start. Of 210 cars of 70 streets
 81 % do; the others start near it by chance. All errors of distance are within two standard deviations."""

@@ -23,21 +23,6 @@ from fgrecon.viz import DrawnVehicle, Truth, scene_picture
 from fgrecon.viz.describe import describe_bounds
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
 
-__all__ = [
-    "FORMAT",
-    "Stage",
-    "document",
-    "in_words",
-    "keypoint_file",
-    "next_commands",
-    "observation_to_dict",
-    "solved_street",
-    "stages",
-    "street_picture",
-    "table",
-    "true_values",
-]
-
 FORMAT = "fgrecon.demo/1"
 
 _TITLES = {"initialisation": "initial", "pose": "after pose", "shape": "after shape", "joint": "after both"}

@@ -12,8 +12,6 @@ from fgrecon.cli.options import PRIORS, fitting_names
 from fgrecon.cli.terminal import Verbosity
 from fgrecon.core.text import counted
 
-__all__ = ["export_command"]
-
 _FORMATS = "nuscenes or coco for .json; foxglove or vision_msgs for .mcap."
 
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
 
     from fgrecon.perception.keypoints.detect import CascadeDetection
 
-__all__ = ["app"]
-
 _NOTHING = 0.005  # confidence that two decimals show as none
 
 app = new_group("keypoints", "Find keypoints in images.", ("evaluate", "label", "silhouettes", "train"))

@@ -30,8 +30,6 @@ from fgrecon.cli.track import track_command
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.text import printable
 
-__all__ = ["PLUGINS", "app", "main"]
-
 PLUGINS = "fgrecon.commands"
 """Entry points of this group are called with the command line's groups by name ('' is the root) and add commands."""
 

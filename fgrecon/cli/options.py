@@ -34,29 +34,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.io.run_settings import RunSettings
     from fgrecon.viz import Recording
 
-__all__ = [
-    "BOX_MODEL_HELP",
-    "KITTI_CAMERA_HEIGHT",
-    "NOT_GIVEN",
-    "BoxErrorOptions",
-    "CameraOptions",
-    "Delivery",
-    "DriveOptions",
-    "DrivesArgument",
-    "FoldOption",
-    "HistoryOption",
-    "JsonOption",
-    "LabelledScene",
-    "NamesOption",
-    "SceneOptions",
-    "TogetherOption",
-    "TrafficOption",
-    "VehicleBoxes",
-    "Viewer",
-    "WeightsOption",
-    "fitting_names",
-]
-
 KITTI_CAMERA_HEIGHT = 1.65
 """Height of KITTI's cameras above the road, metres."""
 

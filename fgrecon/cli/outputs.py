@@ -9,8 +9,6 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-__all__ = ["OUTPUTS", "check_apart", "check_not_over", "check_outputs", "files_in"]
-
 OUTPUTS = ("out", "json_out", "results_out", "picture", "animation", "save", "video", "markdown", "per_frame", "table")
 """Parameters of commands that name what is written; all others are read."""
 _ROOTS = ("data", "work")

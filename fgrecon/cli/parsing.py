@@ -11,8 +11,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.core.camera import Ground
     from fgrecon.io.cameras.camera_source import PartOfImage
 
-__all__ = ["parse_crop", "parse_ground", "parse_numbers"]
-
 
 def parse_ground(plane: str | None, height: float | None) -> tuple[Ground, str] | None:
     """The ground plane and, in words, where it comes from; None where neither option is given.

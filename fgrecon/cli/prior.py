@@ -11,8 +11,6 @@ from fgrecon.cli.commands import add_command, new_group
 from fgrecon.cli.options import PriorArgument
 from fgrecon.cli.terminal import Quiet
 
-__all__ = ["app"]
-
 app = new_group("prior", "Look at shape priors; make and compare them.", ("build", "compare", "learn"))
 
 

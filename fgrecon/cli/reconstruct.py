@@ -10,8 +10,6 @@ import typer
 from fgrecon.cli.reconstruct_options import ReconstructRequest
 from fgrecon.cli.terminal import Terminal
 
-__all__ = ["reconstruct_command"]
-
 
 def reconstruct_command(
     files: Annotated[

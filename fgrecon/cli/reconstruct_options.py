@@ -30,8 +30,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.io.cameras.camera_source import CameraSource
     from fgrecon.io.run_settings import RunSettings
 
-__all__ = ["CarModels", "Drawings", "ReconstructRequest", "Results", "Solving"]
-
 
 @dataclass(frozen=True)
 class Solving:

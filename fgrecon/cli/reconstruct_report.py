@@ -39,19 +39,6 @@ from fgrecon.viz import (
 from fgrecon.viz.delivery import recordings_of
 from fgrecon.viz.subjects import detection_words
 
-__all__ = [
-    "FORMAT",
-    "SCHEMA_VERSION",
-    "details",
-    "document",
-    "draw",
-    "draw_moving",
-    "entry_of",
-    "image_lines",
-    "print_table",
-    "recordings",
-]
-
 SCHEMA_VERSION = 2
 """Of the results files, those of tracks included."""
 

@@ -37,8 +37,6 @@ from fgrecon.io.files import write_text
 from fgrecon.io.images import IMAGES, read_photograph
 from fgrecon.io.run_settings import RunSettings
 
-__all__ = ["reconstruct_each", "reconstruct_file"]
-
 _NAMED = 8
 """Vehicles that an error names."""
 

@@ -20,8 +20,6 @@ from fgrecon.cli.outputs import check_not_over, check_outputs, files_in
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel, BoxOrigin
 
-__all__ = ["refine_command"]
-
 
 @dataclass(frozen=True)
 class RefineOptions:

@@ -17,8 +17,6 @@ from fgrecon.io.run_settings import camera_to_dict, settings_to_dict
 from fgrecon.perception.refine_files import RefinedImage, RefineRequest
 from fgrecon.solve.box_origin import CENTRES
 
-__all__ = ["FORMAT", "document", "show"]
-
 FORMAT = "fgrecon.refined-boxes/1"
 
 _SHOWN = 40  # boxes in the table of several images, without --verbose

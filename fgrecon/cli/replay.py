@@ -22,8 +22,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.cli.terminal import Screen
     from fgrecon.viz.replay import Replay
 
-__all__ = ["replay_command"]
-
 _WEB_PORT = 9090
 
 

@@ -17,8 +17,6 @@ from fgrecon.core.errors import InvalidInputError
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.video.video_job import VideoRequest
 
-__all__ = ["RunOptions", "run_command"]
-
 _STOPPED = 130
 
 

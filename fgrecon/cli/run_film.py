@@ -24,8 +24,6 @@ from fgrecon.viz.scene_recording import state_in_words
 from fgrecon.viz.subjects import detection_words
 from fgrecon.viz.video_recording import RecordedFrame
 
-__all__ = ["Showing", "film", "recorded", "still"]
-
 _RATE = 10.0  # for players; the frames have times of their own
 _TRAIL = 100  # frames that a vehicle's path is drawn
 _SIGMAS = 1.96  # of 95 %

@@ -27,8 +27,6 @@ from fgrecon.viz import Recording
 from fgrecon.viz.sinks import start_viewer
 from fgrecon.viz.video_recording import LiveRecording, video_recording_of
 
-__all__ = ["FORMAT", "details", "document", "draw", "in_words", "perform", "recording", "table"]
-
 FORMAT = "fgrecon.run/1"
 
 _FILM = "film.json"

@@ -18,8 +18,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.core.shape_prior import ShapePrior
     from fgrecon.simulation.sample import SampleStreet, SeenCar
 
-__all__ = ["sample_command"]
-
 
 def sample_command(
     terminal: Quiet,

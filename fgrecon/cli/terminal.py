@@ -22,20 +22,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from rich.table import Table
     from rich.text import Text
 
-__all__ = [
-    "Advance",
-    "Quiet",
-    "Screen",
-    "Terminal",
-    "Verbosity",
-    "compact_table",
-    "counting",
-    "headed_table",
-    "progress_bar",
-    "stepwise",
-    "watched",
-]
-
 _WIDTH = 180
 _PANEL = "Terminal"
 

@@ -22,8 +22,6 @@ from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
 
-__all__ = ["track_command"]
-
 
 @dataclass(frozen=True)
 class TrackOptions:

@@ -36,19 +36,6 @@ from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.solve.track import reconstruct_track
 from fgrecon.viz import Recording, SolvedVehicle, TrackInputs, Truth, contact_sheet, save_picture, track_recording_of
 
-__all__ = [
-    "FORMAT",
-    "Solved",
-    "details",
-    "distinguished",
-    "document",
-    "draw",
-    "image_numbers",
-    "solve",
-    "table",
-    "truth_of",
-]
-
 FORMAT = f"fgrecon.track/{SCHEMA_VERSION}"
 
 _ENDINGS = (".png", ".jpg", ".jpeg")

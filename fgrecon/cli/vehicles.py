@@ -12,8 +12,6 @@ from fgrecon.cli.commands import add_command, new_group
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.text import counted
 
-__all__ = ["app"]
-
 app = new_group("vehicles", "Find cars in images.", ("convert",))
 
 

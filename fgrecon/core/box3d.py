@@ -13,8 +13,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.settings import check_settings, number
 
-__all__ = ["Box3D", "BoxErrors", "box_corners"]
-
 Array = NDArray[np.float64]
 
 _FARTHEST, _LARGEST = 1e5, 1e3  # metres: farther away or larger is no box of anything that a camera sees

@@ -14,8 +14,6 @@ from factors.checks import unit_vector
 from fgrecon.core.checks import as_either, as_finite, as_vectors, own
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["ANY_FOCAL_SIGMA", "DEFAULT_FIELD_OF_VIEW", "MIN_DEPTH", "Camera", "Ground"]
-
 DEFAULT_FIELD_OF_VIEW = 60.0
 """Horizontal field of view in degrees where nothing is known about the camera: distances are then rough."""
 

@@ -20,8 +20,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.repr import brief_repr
 from fgrecon.core.settings import check_settings, flag, number
 
-__all__ = ["DIMENSIONS", "Category", "Dimension", "Face", "MotionModel"]
-
 DIMENSIONS = ("length", "width", "height")
 """The three dimensions in the order used everywhere; their object axes are x, z and y."""
 

@@ -13,21 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from factors.checks import has_shape, shape_words
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = [
-    "as_either",
-    "as_finite",
-    "as_instance",
-    "as_list",
-    "as_path",
-    "as_rigid",
-    "as_rows",
-    "as_shape",
-    "as_vectors",
-    "hidden_as_nan",
-    "one_word",
-    "own",
-]
-
 _NUMBERS = (
     "biufO"  # numpy's kinds; an array of objects may hold numbers, and whether it does shows when it is converted
 )

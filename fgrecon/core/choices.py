@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["BoxModel", "BoxOrigin", "StrategyName", "TrafficSide"]
-
 
 class BoxModel(StrEnum):
     """What a 2D box encloses."""

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LEVELS", "SIGMAS", "Coverage", "Region", "Reliability", "coverage", "reliability"]
-
 Array = NDArray[np.float64]
 
 LEVELS = np.round(np.arange(0.05, 1.0, 0.05), 2)

@@ -15,15 +15,6 @@ from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation, as_directions
 from fgrecon.core.repr import brief_repr
 
-__all__ = [
-    "Detection",
-    "at_direction",
-    "calibrated_facing",
-    "facing_probability",
-    "half_around",
-    "pose_facing_probability",
-]
-
 _SUREST = 1e-6
 
 

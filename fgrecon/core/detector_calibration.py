@@ -10,8 +10,6 @@ from fgrecon.core.checks import as_instance
 from fgrecon.core.options import BoxOptions, KeypointOptions, Options
 from fgrecon.core.settings import check_settings, number
 
-__all__ = ["BoxSource", "DetectorCalibration"]
-
 _DEFAULT = KeypointOptions()
 
 

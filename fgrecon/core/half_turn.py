@@ -18,8 +18,6 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.core.shape_prior import ShapePrior
 
-__all__ = ["HALF_TURN", "flipped_alternative", "flipped_directions", "flipped_observation", "partners"]
-
 HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 """(4, 4) half a turn about the object's own y axis."""
 HALF_TURN.setflags(write=False)

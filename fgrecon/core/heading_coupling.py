@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from fgrecon.core.choices import TrafficSide
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 
-__all__ = ["heading_odds", "mean_field", "traffic_directions"]
-
 Array = NDArray[np.float64]
 
 _BESIDE = np.array([0.0, 1.0, 2.0, 3.0, 3.5, 4.5, 5.5, 7.0, 9.0, 12.0, 20.0])  # metres across two headings

@@ -12,17 +12,6 @@ from numpy.typing import NDArray
 from fgrecon.core.repr import brief_repr
 from fgrecon.core.serialise import array, numbers
 
-__all__ = [
-    "Alternative",
-    "Deferred",
-    "GraphFactor",
-    "Iteration",
-    "read_alternative",
-    "read_graph_factor",
-    "read_iteration",
-]
-
-
 T = TypeVar("T")
 
 

@@ -24,20 +24,6 @@ from fgrecon.core.errors import ContradictoryInputWarning
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
 
-__all__ = [
-    "FARTHEST_OUTSIDE",
-    "MIRRORED_GAIN",
-    "InputWarning",
-    "InputWarnings",
-    "camera_warning_of",
-    "fit_share",
-    "input_warning_of",
-    "result_warning_of",
-    "summed_up",
-    "warn",
-    "warn_of",
-]
-
 FARTHEST_OUTSIDE = 0.5
 """Of an image's size: so far beyond its edges may keypoints be of a vehicle that they cut off."""
 

@@ -14,15 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = [
-    "FAILURE_DEGREES",
-    "average_precision",
-    "hausdorff_distance",
-    "orientation_error",
-    "translation_error",
-    "wrap_angle",
-]
-
 FAILURE_DEGREES = 180.0
 """Orientation error of an instance without an estimate."""
 

@@ -14,8 +14,6 @@ from fgrecon.core.checks import as_finite, as_shape, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.repr import brief_repr
 
-__all__ = ["KeypointsLike", "Observation", "as_directions"]
-
 _SUM = 1e-3
 """By so much the sum of probabilities may be off."""
 

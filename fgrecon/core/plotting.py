@@ -17,8 +17,6 @@ from typing import Any, Protocol, cast
 
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 
-__all__ = ["DEFAULT_BACKEND", "GROUP", "PlottingBackend", "as_html", "plotting_backend"]
-
 GROUP = "fgrecon.plotting"
 """Group of the entry points."""
 

@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
-__all__ = ["keep", "one_thread_each", "processes_with", "run_kept"]
-
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 

@@ -13,8 +13,6 @@ from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.repr import brief_repr
 
-__all__ = ["RefinedBox"]
-
 Array = NDArray[np.float64]
 
 

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["brief_repr"]
-
 _FEW = 4
 """So many numbers or texts are shown; of more, and of other things, their count."""
 

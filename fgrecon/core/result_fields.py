@@ -14,8 +14,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.history import read_alternative, read_graph_factor, read_iteration
 from fgrecon.core.serialise import array, indices, numbers, pairs, square, well_formed
 
-__all__ = ["FIELDS", "Regions", "Status", "check_shapes", "read_fields"]
-
 _FIX = "Give the result as fgrecon wrote it"
 
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-__all__ = ["DECIMALS", "SIGNIFICANT", "rounded"]
-
 DECIMALS: Mapping[str, int] = {
     "camera_T_object": 9,
     "coefficients": 9,

@@ -13,8 +13,6 @@ from fgrecon.core.errors import FgreconError
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.text import counted
 
-__all__ = ["SceneReconstruction"]
-
 
 @dataclass(frozen=True)
 class SceneReconstruction:

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.core.text import whole_text
 
-__all__ = ["array", "as_arrow", "as_pandas", "finite", "indices", "numbers", "pairs", "plain", "square", "well_formed"]
-
 
 def plain(value: Any) -> Any:
     """Lists, numbers and texts for JSON; NaN and infinity become texts."""

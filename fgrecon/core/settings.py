@@ -25,8 +25,6 @@ import numpy as np
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["check_settings", "choice", "choice_or_none", "count", "flag", "number", "one_of"]
-
 Kind = TypeVar("Kind", bound=StrEnum)
 _CHECK = "check"
 Check = Callable[[str, Any], Any]

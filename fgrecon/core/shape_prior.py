@@ -17,8 +17,6 @@ from fgrecon.core.geometry import MIRROR
 from fgrecon.core.repr import brief_repr
 from fgrecon.core.size_prior import LONGEST, SHORTEST, SIZES, SizePrior
 
-__all__ = ["ShapePrior", "Surface"]
-
 _SYMMETRY_TOLERANCE = 1e-6
 
 _FARTHEST = 100.0  # metres from the origin: no part of a vehicle, however it is scaled, lies there

@@ -12,18 +12,6 @@ from numpy.typing import NDArray
 from fgrecon.core.checks import as_finite, as_shape, own
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = [
-    "LONGEST",
-    "SHORTEST",
-    "SIZES",
-    "SIZE_PRIORS",
-    "SizePrior",
-    "SizesLike",
-    "check_order",
-    "other_fleets",
-    "size_prior",
-]
-
 SHORTEST, LONGEST = 0.3, 30.0
 """Metres: what a vehicle's length, width and height are from and to."""
 

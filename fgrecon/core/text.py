@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-__all__ = ["counted", "distinct", "markdown_row", "printable", "whole_text"]
-
 
 def counted(count: int, thing: str, things: str | None = None) -> str:
     """How many there are, in words: `1 car`, `2 cars`.

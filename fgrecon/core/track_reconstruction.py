@@ -16,8 +16,6 @@ from fgrecon.core.repr import brief_repr
 from fgrecon.core.serialise import as_arrow, as_pandas
 from fgrecon.core.text import counted
 
-__all__ = ["JointStep", "TrackReconstruction"]
-
 
 @dataclass(frozen=True)
 class JointStep:

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.repr import brief_repr
 
-__all__ = ["VehicleEstimate"]
-
 
 @dataclass(frozen=True, eq=False)
 class VehicleEstimate:

@@ -16,20 +16,6 @@ from fgrecon.core.metrics import hausdorff_distance
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.repr import brief_repr
 
-__all__ = [
-    "SIDE_COLOURS",
-    "SURFACE",
-    "ClosestModel",
-    "Colour",
-    "ModelDistances",
-    "Side",
-    "VehicleMesh",
-    "closest_model",
-    "edge_sides",
-    "keypoint_sides",
-    "model_distances",
-]
-
 _SPACING = 0.1  # metres between the points that stand for a surface, at most
 _FINEST = 64  # parts of a triangle's side, at most: a plane under a car may come with it
 

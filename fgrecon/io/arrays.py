@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["LARGEST", "largest_bytes", "read_arrays"]
-
 LARGEST = "FGRECON_LARGEST"
 """Environment variable: how many bytes a file may unpack to."""
 

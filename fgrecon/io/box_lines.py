@@ -22,8 +22,6 @@ from fgrecon.io.files import read_text
 from fgrecon.io.images import IMAGES
 from fgrecon.io.kitti_files import LABEL_COLUMNS, parse_object
 
-__all__ = ["BoxLine", "Boxed", "BoxedImage", "boxed_images", "images_of", "read_box_lines", "text_of"]
-
 Array = NDArray[np.float64]
 
 _TRACKED = 2  # columns in front of a tracking line's object

@@ -22,8 +22,6 @@ from fgrecon.io.kitti_files import DETECTION_CLASSES, LABEL_COLUMNS, parse_detec
 from fgrecon.io.lens_fields import read_size
 from fgrecon.io.nuscenes import cuboid_boxes, is_nuscenes, open_nuscenes
 
-__all__ = ["LEAST_SCORE", "FileBoxes", "NamedBox", "boxes_in", "read_boxes"]
-
 _YOLO_COLUMNS = 5
 LEAST_SCORE = 0.5
 """Boxes of a lower score are left out where nothing else is said."""

@@ -38,18 +38,6 @@ from fgrecon.io.files import write_bytes, write_text
 from fgrecon.io.integrity import check_hash
 from fgrecon.io.json_fields import Fields, parse_json, read_json, within
 
-__all__ = [
-    "DETECTOR_FORMAT",
-    "PRIOR_FORMAT",
-    "load_calibration",
-    "load_category",
-    "load_prior",
-    "save_calibration",
-    "save_prior",
-    "shipped_categories",
-    "shipped_priors",
-]
-
 PRIOR_FORMAT = "fgrecon.shape_prior/1"
 _SURFACE = ("surface_mean", "surface_basis", "surface_faces")
 _ARRAYS = ("mean", "basis", "offset_sigma", "explained")

@@ -15,8 +15,6 @@ from typing import Any
 
 from fgrecon.core.camera import Camera
 
-__all__ = ["EXIF_SIGMA", "exif_camera"]
-
 EXIF_SIGMA = 0.05
 """Standard deviation of the logarithm of a focal length from EXIF."""
 

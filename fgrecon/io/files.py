@@ -16,18 +16,6 @@ from pathlib import Path
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import whole_text
 
-__all__ = [
-    "behind_links",
-    "check_ending",
-    "check_folder",
-    "check_output",
-    "read_text",
-    "replacing",
-    "write_bytes",
-    "write_text",
-]
-
-
 _ABANDONED = 3600.0  # seconds
 _PART = ".part"
 _LONGEST = 255 - len(f"..????????{_PART}")

@@ -22,17 +22,6 @@ from pathlib import Path
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.images import IMAGES
 
-__all__ = [
-    "DEFAULT_RATE",
-    "OrderedImages",
-    "distinct_names",
-    "frames_by_name",
-    "number_of",
-    "of_one_image",
-    "seconds_of",
-    "times_of",
-]
-
 DEFAULT_RATE = 10.0
 """Frames per second of images whose names tell no time, where nobody says."""
 

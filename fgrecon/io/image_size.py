@@ -9,8 +9,6 @@ import numpy as np
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["Size", "same_image_size", "scale_between"]
-
 Size = tuple[int, int]
 """Width and height in pixels."""
 

@@ -16,8 +16,6 @@ from fgrecon.io.arrays import LARGEST, largest_bytes
 from fgrecon.io.exif import exif_camera
 from fgrecon.io.files import write_bytes
 
-__all__ = ["IMAGES", "decode_image", "decode_photograph", "read_image", "read_photograph", "write_png"]
-
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 """Endings of image files."""
 

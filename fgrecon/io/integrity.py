@@ -11,8 +11,6 @@ from typing import TypeVar
 
 from fgrecon.core.errors import DamagedFileWarning, InvalidInputError
 
-__all__ = ["LIST", "MADE_AGAIN", "check_hash", "file_hash", "listed", "stored"]
-
 MADE_AGAIN = "It is made again."
 """What an error of a reader says to do about a damaged part."""
 

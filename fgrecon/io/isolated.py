@@ -26,8 +26,6 @@ from typing import IO, Any, ParamSpec, Self, TypeVar
 from fgrecon.core.errors import ChildNotBegunError, InvalidInputError
 from fgrecon.io.arrays import LARGEST, largest_bytes
 
-__all__ = ["Isolated", "serve"]
-
 P = ParamSpec("P")
 T = TypeVar("T")
 

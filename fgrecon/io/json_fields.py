@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import whole_text
 
-__all__ = ["Fields", "numbers", "parse_json", "plain_id", "read_json", "read_toml", "within"]
-
 _SURROGATE = re.compile(r"\\u[dD][89abAB-Fc-f]")
 _FLOATS = {float}
 _LARGEST = 2**63 - 1

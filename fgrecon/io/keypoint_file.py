@@ -48,16 +48,6 @@ from fgrecon.io.json_fields import Fields, numbers, plain_id, read_json
 from fgrecon.io.lens_fields import check_unused, read_distortion, read_size
 from fgrecon.io.video_frames import VIDEOS
 
-__all__ = [
-    "Instance",
-    "KeypointFile",
-    "parse_camera",
-    "parse_keypoints",
-    "read_keypoints",
-    "refuse_other_file",
-    "refuse_results",
-]
-
 Array = NDArray[np.float64]
 
 _NO_TRACK = -1

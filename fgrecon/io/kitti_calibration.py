@@ -13,8 +13,6 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import read_text
 
-__all__ = ["KittiCalibration", "calibration_beside", "read_calibration", "rectified_size"]
-
 _FOCAL_TOLERANCE = 0.01  # pixels
 _RECTIFIED_SIZES = {721.5377: (1242, 375), 707.0493: (1224, 370), 718.3351: (1238, 374), 718.856: (1241, 376)}
 

@@ -25,16 +25,6 @@ from fgrecon.io.json_fields import read_json
 from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
 from fgrecon.io.kitti_files import Objects, TrackedObjects, parse_object, read_tracking
 
-__all__ = [
-    "IMAGES_PER_SECOND",
-    "Drive",
-    "DriveFrame",
-    "has_labels",
-    "read_drive",
-    "read_images",
-    "read_object_folder",
-]
-
 IMAGES_PER_SECOND = 10.0
 """Of KITTI's drives."""
 

@@ -19,19 +19,6 @@ from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import read_text
 
-__all__ = [
-    "DETECTION_CLASSES",
-    "LABEL_COLUMNS",
-    "DetectionLine",
-    "Objects",
-    "TrackedObjects",
-    "format_results",
-    "format_tracking",
-    "parse_detection",
-    "parse_object",
-    "read_tracking",
-]
-
 DETECTION_CLASSES = {"1": "Pedestrian", "2": "Car", "3": "Cyclist"}
 _DETECTION_NUMBERS = {name.lower(): number for number, name in DETECTION_CLASSES.items()}
 """Numbers of the classes in detection files."""

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.json_fields import Fields, numbers
 
-__all__ = ["as_number", "check_unused", "read_distortion", "read_size"]
-
 DISTORTION = frozenset(
     [
         "distortioncoefficients",

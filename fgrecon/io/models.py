@@ -25,8 +25,6 @@ from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.io.arrays import read_arrays
 from fgrecon.io.json_fields import Fields, read_json
 
-__all__ = ["ENDINGS", "check_axes", "read_models"]
-
 ENDINGS = (".obj", ".ply", ".glb", ".npz")
 """Endings of the files that are read."""
 

@@ -20,8 +20,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.io.json_fields import Fields, read_json
 
-__all__ = ["NuScenesTables", "cuboid_boxes", "is_nuscenes", "open_nuscenes", "pose_of"]
-
 _TABLES = "calibrated_sensor", "sample_data"
 
 

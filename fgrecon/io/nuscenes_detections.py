@@ -25,8 +25,6 @@ from fgrecon.io.box_lines import BoxedImage, images_of
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.io.nuscenes import NuScenesTables, pose_of
 
-__all__ = ["Submission", "SubmittedBox", "is_submission", "read_submission"]
-
 Array = NDArray[np.float64]
 
 _FIX = "Give a submission of nuScenes' detection task: an object with `results`, a list of boxes by sample token."

@@ -25,8 +25,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import numbers, read_json
 
-__all__ = ["CameraPoses", "read_poses"]
-
 Array = NDArray[np.float64]
 
 _FIX = "Give lines of 12 numbers (KITTI) or of 8 (TUM), or JSON with matrices 4 x 4."

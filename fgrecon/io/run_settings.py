@@ -16,8 +16,6 @@ from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior, shipped_priors
 from fgrecon.io.integrity import file_hash
 
-__all__ = ["RunSettings", "camera_to_dict", "content_hash", "settings_to_dict"]
-
 
 @dataclass(frozen=True)
 class RunSettings:

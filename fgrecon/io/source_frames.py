@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["Choice", "SourceFrame", "sized"]
-
 
 @dataclass(frozen=True, eq=False)
 class SourceFrame:

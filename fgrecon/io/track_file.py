@@ -24,8 +24,6 @@ from fgrecon.core.text import whole_text
 from fgrecon.io.json_fields import Fields, read_json, within
 from fgrecon.io.kitti_calibration import rectified_size
 
-__all__ = ["GroundTruth", "Track", "TrackFrame", "parse_track", "read_track"]
-
 _INTRINSICS_TOLERANCE = 1e-6
 
 

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.io.files import check_ending, replacing
 
-__all__ = ["VIDEO_FORMATS", "check_video", "write_video"]
-
 VIDEO_FORMATS = {"mp4": "mp4", "mkv": "matroska", "mov": "mov"}
 """FFmpeg's name of the container by the ending of the file's name."""
 

@@ -18,8 +18,6 @@ from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.io.frame_names import DEFAULT_RATE
 from fgrecon.io.source_frames import Choice, SourceFrame, sized
 
-__all__ = ["VIDEOS", "VideoFrames", "count_frames", "open_video", "packet_times"]
-
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")
 """Endings of videos."""
 

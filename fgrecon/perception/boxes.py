@@ -19,8 +19,6 @@ from fgrecon.perception.keypoints.detect import large_enough
 from fgrecon.perception.protocols import VehicleDetector, find_vehicles
 from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles
 
-__all__ = ["boxes_of", "detected_boxes", "find_boxes", "for_detected", "large_vehicles"]
-
 
 def boxes_of(
     image: Path,

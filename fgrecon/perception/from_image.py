@@ -28,8 +28,6 @@ from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.terms import direction_penalty as penalty_of
 from fgrecon.solve.scene import reconstruct_scene
 
-__all__ = ["FromImage", "direction_penalty", "reconstruct_detection", "reconstruct_detections", "reconstruct_image"]
-
 Array = NDArray[np.float64]
 
 

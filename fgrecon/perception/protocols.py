@@ -19,8 +19,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.perception.vehicles import Vehicles
 
-__all__ = ["KeypointDetector", "VehicleDetector", "check_category", "find_keypoints", "find_vehicles"]
-
 
 @runtime_checkable
 class VehicleDetector(Protocol):

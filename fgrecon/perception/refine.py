@@ -30,8 +30,6 @@ from fgrecon.solve.inputs import as_ground
 from fgrecon.solve.refine import refined
 from fgrecon.solve.scene import reconstruct_scene
 
-__all__ = ["refine_boxes"]
-
 Array = NDArray[np.float64]
 
 

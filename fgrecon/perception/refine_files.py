@@ -30,8 +30,6 @@ from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
 from fgrecon.solve.box_origin import with_origin
 
-__all__ = ["KINDS", "BoxFiles", "RefineRequest", "RefinedImage", "Refiner", "open_boxes"]
-
 KINDS = "Car", "Van"
 """Types of objects that are refined, in capitals or not."""
 

@@ -21,22 +21,6 @@ from fgrecon.perception.keypoints.decode import sigmoid
 from fgrecon.perception.keypoints.detect import as_rgb8
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session
 
-__all__ = [
-    "CHANNELS",
-    "CLASSES",
-    "DISTANCES",
-    "INPUT",
-    "MEAN",
-    "STRIDES",
-    "DetectionSettings",
-    "Look",
-    "NanodetVehicleDetector",
-    "Vehicles",
-    "decode",
-    "shipped",
-    "suppress",
-]
-
 Array = NDArray[np.float64]
 
 INPUT = "image"

@@ -21,8 +21,6 @@ from fgrecon.simulation.scenery import BODY_COLOURS, car_paint, planter, road, w
 from fgrecon.simulation.vehicles import SimulatedTruth, Vehicle, simulate, yaw_pose
 from fgrecon.solve.vehicle.visibility import clearance
 
-__all__ = ["DemoScene", "demo_scene"]
-
 _IMAGE_SIZE = (960, 540)
 _CAMERA = Camera(np.array([[900.0, 0.0, 479.5], [0.0, 900.0, 229.5], [0.0, 0.0, 1.0]]), image_size=_IMAGE_SIZE)
 _CAMERA_HEIGHT = 1.65

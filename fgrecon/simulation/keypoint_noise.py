@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["HOURGLASS", "OUTLIER", "NoiseModel", "Twins"]
-
 OUTLIER = 0.1
 """A measurement farther from the truth than this fraction of the box extent is an outlier (the APK threshold)."""
 

@@ -19,8 +19,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.repr import brief_repr
 
-__all__ = ["Body", "Fragments", "Paint", "Picture", "pixel_rays", "rasterise", "render", "sky", "to_rgb"]
-
 Array = NDArray[np.float64]
 
 Paint = Callable[[Array, Array], tuple[Array, Array]]

@@ -18,17 +18,6 @@ from fgrecon.simulation.render import Body, render
 from fgrecon.simulation.scenery import BODY_COLOURS, car_paint, road, with_shadow
 from fgrecon.simulation.vehicles import KITTI_CAMERA, SimulatedTruth, Vehicle, simulate, yaw_pose
 
-__all__ = [
-    "GROUND",
-    "LABEL_OFFSET",
-    "SampleStreet",
-    "SeenCar",
-    "disturbed_boxes",
-    "sample_drive",
-    "sample_street",
-    "sample_track",
-]
-
 GROUND = Ground.level(1.65)
 """The road under KITTI's camera."""
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.simulation.render import Paint, pixel_rays, sky
 
-__all__ = ["BODY_COLOURS", "car_paint", "planter", "road", "with_shadow"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _Cover = Callable[[Mask, Array, float], None]

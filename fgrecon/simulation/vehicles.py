@@ -20,16 +20,6 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.keypoint_noise import HOURGLASS, OUTLIER, NoiseModel, Twins
 from fgrecon.solve.vehicle.visibility import TOLERANCE, clearance
 
-__all__ = [
-    "KITTI_CAMERA",
-    "SimulatedTruth",
-    "Vehicle",
-    "kitti_like_pose",
-    "simulate",
-    "simulate_track",
-    "yaw_pose",
-]
-
 KITTI_CAMERA = Camera(
     np.array([[721.5377, 0.0, 609.5593], [0.0, 721.5377, 172.854], [0.0, 0.0, 1.0]]), image_size=(1242, 375)
 )

@@ -17,8 +17,6 @@ from fgrecon.core.geometry import transform
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import STATUS
 
-__all__ = ["box_excess", "boxes_off", "boxes_warning"]
-
 Array = NDArray[np.float64]
 
 _ERROR = 1.86  # standard error of a median times the root of the count, over the median absolute deviation

@@ -25,8 +25,6 @@ from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.solve_settings import SCENE
 from fgrecon.solve.vehicle.model import VehicleModel, sized
 
-__all__ = ["KnownBox"]
-
 
 @dataclass(frozen=True)
 class KnownBox:

@@ -23,8 +23,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.solve.independent import IndependentSolve
 from fgrecon.solve.solve_settings import SCENE
 
-__all__ = ["candidates", "distinct_lengths", "energies_of", "focal_prior", "log_ratio", "starts"]
-
 
 def candidates(camera: Camera) -> list[Camera]:
     """Cameras with the focal lengths to try: the camera alone where its own is known.

@@ -25,8 +25,6 @@ from fgrecon.solve.time.frame import Frame, FrameStep
 from fgrecon.solve.time.heading_neighbours import neighbour_evidence
 from fgrecon.solve.time.vehicle_filter import FilterModel, VehicleFilter, VehicleUpdate, first_observed
 
-__all__ = ["FrameContext", "FrameVehicles", "VehicleTrack", "look_at_vehicles"]
-
 Array = NDArray[np.float64]
 
 

@@ -18,8 +18,6 @@ from fgrecon.solve.image_ground import ImageGround
 from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.time.frame import Frame
 
-__all__ = ["GroundEvidence", "ground_evidence"]
-
 
 @dataclass(frozen=True)
 class GroundEvidence:

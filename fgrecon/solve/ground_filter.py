@@ -35,8 +35,6 @@ from fgrecon.solve.solve_settings import GROUND_FILTER, SCENE
 from fgrecon.solve.time.camera_drift import CameraDrift
 from fgrecon.solve.time.time_settings import SETTINGS
 
-__all__ = ["CameraFrame", "GroundFilter", "KnownGround"]
-
 Array = NDArray[np.float64]
 
 

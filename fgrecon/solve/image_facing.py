@@ -34,8 +34,6 @@ from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import FACING
 
-__all__ = ["couple_facings", "estimate_pose", "estimate_pose_facing", "single_pose"]
-
 Array = NDArray[np.float64]
 
 

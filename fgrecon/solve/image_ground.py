@@ -24,8 +24,6 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.solve_settings import SCENE
 from fgrecon.solve.weakness import off_ground
 
-__all__ = ["ImageGround", "ground_spread", "observed_ground", "own_deviations"]
-
 Array = NDArray[np.float64]
 
 

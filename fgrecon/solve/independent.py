@@ -32,8 +32,6 @@ from fgrecon.solve.time.frame import PosedImage
 from fgrecon.solve.time.heading_choice import image_evidence, moved_to
 from fgrecon.solve.time.heading_filter import Belief, box_evidence
 
-__all__ = ["IndependentSolve", "IndependentVehicle", "solve_independently"]
-
 Array = NDArray[np.float64]
 
 

@@ -37,21 +37,6 @@ from fgrecon.solve.vehicle.model import VehicleModel, prepare
 if TYPE_CHECKING:
     import gtsam
 
-__all__ = [
-    "SolveSetup",
-    "add_input_warnings",
-    "as_box_errors",
-    "as_boxes",
-    "as_camera_pose",
-    "as_cameras",
-    "as_extra_factors",
-    "as_ground",
-    "as_initial",
-    "as_motion_covariance",
-    "calibrated",
-    "observe",
-]
-
 Array = NDArray[np.float64]
 
 _CAMERA_NUMBERS = Real, np.ndarray, list, tuple  # what a matrix, or fx, fy, cx, cy, are made of

@@ -15,8 +15,6 @@ from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import weakened
 
-__all__ = ["with_mirrored_gain"]
-
 _FITTING = 0.6
 """Share of the keypoints that fit from which on nothing is tried; of exchanged ones at most half do."""
 

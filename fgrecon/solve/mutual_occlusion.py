@@ -17,8 +17,6 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.vehicle.visibility import clearance, probability
 
-__all__ = ["with_occlusion"]
-
 Array = NDArray[np.float64]
 
 _UNHIDDEN = probability(np.zeros(1))  # of what nothing hides, which stays as visible as it is

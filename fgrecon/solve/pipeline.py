@@ -28,8 +28,6 @@ from fgrecon.solve.threads import single_threaded
 if TYPE_CHECKING:
     import gtsam
 
-__all__ = ["reconstruct"]
-
 
 @single_threaded
 def reconstruct(

@@ -20,8 +20,6 @@ from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.mode_selection import is_flipped
 from fgrecon.solve.solve_settings import STATUS
 
-__all__ = ["facing_by_energies", "with_probabilities"]
-
 
 def facing_by_energies(camera_T_object: NDArray[np.float64], alternatives: Sequence[Alternative]) -> float:
     """How probably a pose (4, 4) faces the right way where energies alone tell; NaN where there are none."""

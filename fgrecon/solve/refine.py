@@ -12,8 +12,6 @@ from fgrecon.core.reconstruction import TRUSTED, Reconstruction
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.solve.solve_settings import SCENE
 
-__all__ = ["refined"]
-
 Array = NDArray[np.float64]
 
 

@@ -43,8 +43,6 @@ from fgrecon.solve.solve_settings import STATUS
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
 from fgrecon.solve.weakness import weaknesses
 
-__all__ = ["Marginalised", "marginalise", "pose_history", "results", "weakened"]
-
 Array = NDArray[np.float64]
 
 

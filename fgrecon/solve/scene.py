@@ -54,8 +54,6 @@ from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon.solve.weakness import unknown_focal
 
-__all__ = ["reconstruct_scene", "reconstruct_scenes"]
-
 Array = NDArray[np.float64]
 
 

@@ -6,17 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = [
-    "FACING",
-    "GROUND_FILTER",
-    "SCENE",
-    "STATUS",
-    "FacingSettings",
-    "GroundFilterSettings",
-    "SceneSettings",
-    "StatusSettings",
-]
-
 
 @dataclass(frozen=True)
 class FacingSettings:

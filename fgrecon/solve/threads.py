@@ -16,8 +16,6 @@ from functools import wraps
 from threading import Lock, get_ident
 from typing import Any, ParamSpec, TypeVar
 
-__all__ = ["single_threaded"]
-
 P = ParamSpec("P")
 T = TypeVar("T")
 

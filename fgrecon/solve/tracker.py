@@ -53,8 +53,6 @@ from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle_filter import FilterModel
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, velocity_covariances
 
-__all__ = ["Tracker"]
-
 Array = NDArray[np.float64]
 
 _MAPPING = "Give a mapping: an `fgrecon.Observation` by id. Images go to `fgrecon.video.ImageTracker`."

@@ -19,8 +19,6 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.result_fields import Status
 from fgrecon.solve.solve_settings import STATUS
 
-__all__ = ["off_ground", "unknown_focal", "weaknesses"]
-
 Array = NDArray[np.float64]
 
 

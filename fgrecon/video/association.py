@@ -27,8 +27,6 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, transform
 
-__all__ = ["Association", "AssociationSettings", "Candidate", "GatedAssociation", "ground_contact", "overlaps"]
-
 Array = NDArray[np.float64]
 
 

@@ -11,8 +11,6 @@ from fgrecon.io.poses import CameraPoses
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.records import FrameRecord
 
-__all__ = ["CameraPath", "CameraPathSettings"]
-
 Array = NDArray[np.float64]
 
 

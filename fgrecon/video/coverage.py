@@ -13,8 +13,6 @@ from fgrecon.io.frames import FrameSource, ImageFrames, VideoFrames
 from fgrecon.io.poses import CameraPoses
 from fgrecon.io.video_frames import packet_times
 
-__all__ = ["check_coverage", "coverage_warnings", "planned_frames"]
-
 Moments = Sequence[tuple[int, float]]
 """Number and time (seconds) of each frame."""
 

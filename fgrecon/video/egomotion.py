@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import exponential
 
-__all__ = ["CameraMotion", "EgomotionSettings", "camera_motion", "motion_of_points", "tracked_points"]
-
 Array = NDArray[np.float64]
 
 

@@ -14,8 +14,6 @@ from fgrecon.io.frames import FrameSource, SourceFrame
 from fgrecon.solve.scene import reconstruct_scenes
 from fgrecon.video.records import FrameRecord
 
-__all__ = ["EstimatedCamera", "FocalSettings", "estimate_camera"]
-
 
 @dataclass(frozen=True)
 class FocalSettings:

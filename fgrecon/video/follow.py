@@ -26,8 +26,6 @@ from fgrecon.video.association import Association, Candidate, ground_contact
 from fgrecon.video.camera_path import CameraPath
 from fgrecon.video.records import FrameRecord, Sighting
 
-__all__ = ["DEFAULT_KIND", "Follower", "TrackedFrame", "VehicleTracker"]
-
 Array = NDArray[np.float64]
 
 DEFAULT_KIND = "Car"

@@ -15,8 +15,6 @@ from fgrecon.perception.keypoints.detect import check_box, large_enough
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find_keypoints, find_vehicles
 from fgrecon.video.records import FrameRecord, Sighting
 
-__all__ = ["FrameDetector"]
-
 
 class FrameDetector:
     """Looks at one frame after the other.

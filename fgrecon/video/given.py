@@ -35,8 +35,6 @@ from fgrecon.io.track_file import parse_track
 from fgrecon.video.association import AssociationSettings
 from fgrecon.video.records import Sighting
 
-__all__ = ["KINDS", "Given", "in_words", "read_given"]
-
 KINDS = ("Car", "Van")
 """Types of KITTI's objects that are taken, in capitals or not."""
 

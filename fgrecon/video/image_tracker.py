@@ -31,8 +31,6 @@ from fgrecon.video.association import Association, GatedAssociation
 from fgrecon.video.follow import Follower, TrackedFrame
 from fgrecon.video.frame_detector import FrameDetector
 
-__all__ = ["ImageTracker"]
-
 
 class ImageTracker:
     """Follows the vehicles that a camera sees, image by image.

@@ -13,8 +13,6 @@ from fgrecon.io.frames import SourceFrame
 from fgrecon.video.egomotion import CameraMotion, camera_motion
 from fgrecon.video.records import FrameRecord, Sighting
 
-__all__ = ["MotionEstimator"]
-
 
 class MotionEstimator:
     """Estimates the camera's motion by points off the vehicles, frame by frame (`camera_motion`).

@@ -18,18 +18,6 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.text import whole_text
 from fgrecon.video.egomotion import CameraMotion
 
-__all__ = [
-    "FORMAT",
-    "FrameRecord",
-    "Sighting",
-    "from_row",
-    "motion_from_row",
-    "motion_schema",
-    "motion_to_table",
-    "record_schema",
-    "to_table",
-]
-
 Array = NDArray[np.float64]
 
 FORMAT = "fgrecon.video/4"

@@ -17,8 +17,6 @@ from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.kitti_files import Objects, TrackedObjects, format_tracking
 from fgrecon.video.follow import DEFAULT_KIND, TrackedFrame
 
-__all__ = ["FRAME_FORMAT", "frame_lines", "rows_of", "tracking_text"]
-
 Array = NDArray[np.float64]
 
 FRAME_FORMAT = "fgrecon.video-frame/1"

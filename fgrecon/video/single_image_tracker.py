@@ -14,8 +14,6 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.pipeline import reconstruct
 
-__all__ = ["SingleImageTracker"]
-
 Array = NDArray[np.float64]
 
 

@@ -55,8 +55,6 @@ from fgrecon.video.rows import frame_lines, rows_of, tracking_text
 from fgrecon.video.run import VideoRun, run_video
 from fgrecon.video.single_image_tracker import SingleImageTracker
 
-__all__ = ["VideoJob", "VideoRequest", "prepare_video", "track_video", "write_tracks"]
-
 Warn = Callable[[str], None]
 """Called with each warning."""
 

@@ -23,8 +23,6 @@ from fgrecon.viz.picture import as_rgb, new_figure, place_axes
 from fgrecon.viz.subjects import SolvedVehicle
 from fgrecon.viz.truth import Truth
 
-__all__ = ["FORMATS", "animate", "check_format"]
-
 FORMATS = ("gif", "mp4")
 """File types that `animate` writes, by the ending of the name."""
 

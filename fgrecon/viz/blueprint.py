@@ -16,8 +16,6 @@ from fgrecon.viz.geometry import Box, crop_around, image_points
 from fgrecon.viz.subjects import Member, SolvedVehicle, TrackInputs
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
 
-__all__ = ["scene_blueprint", "track_blueprint", "vehicle_blueprint", "video_blueprint"]
-
 _ASPECT = 1.6
 _STEPS_PER_SECOND = 8.0
 _GRAPH_MARGIN = (75.0, 30.0)  # half a label beyond the outermost nodes

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FIELDS", "Outbox", "exact_column", "fixed_columns", "made_columns", "strip_columns"]
-
 FIELDS = "fields"
 """Name of the component that `exact_column` makes."""
 

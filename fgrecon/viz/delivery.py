@@ -15,8 +15,6 @@ from fgrecon.io.files import check_output
 from fgrecon.viz import Photograph, Recording, SolvedVehicle, recording_of
 from fgrecon.viz.sinks import check_viewer, start_viewer
 
-__all__ = ["check_delivery", "deliver", "recordings_of"]
-
 _AT_ONCE = 2  # encoding one takes longer than making the next
 
 

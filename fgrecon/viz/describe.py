@@ -16,21 +16,6 @@ from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz.subjects import SolvedVehicle
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
 
-__all__ = [
-    "LEVEL",
-    "bounds_of",
-    "describe_bounds",
-    "describe_errors",
-    "describe_stop",
-    "describe_update",
-    "median_residual",
-    "scene_table",
-    "summary_table",
-    "total_energy",
-    "track_table",
-    "weight_updates",
-]
-
 LEVEL = 0.95
 """Probability with which the true values are within the bounds and regions that are shown."""
 _SIGMAS = 1.96  # standard deviations of that, in one dimension

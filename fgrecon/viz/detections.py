@@ -16,8 +16,6 @@ from fgrecon.viz.marks import unit
 if TYPE_CHECKING:
     from fgrecon.perception.keypoints.detect import CascadeDetection
 
-__all__ = ["detection_sheet"]
-
 _CELL, _COLUMNS, _HEADING = 3.2, 4, 0.3
 _SHOWN = 0.3  # points of less confidence are rings without a name
 

@@ -20,8 +20,6 @@ from fgrecon.viz.columns import Outbox, made_columns
 from fgrecon.viz.playback import Rows
 from fgrecon.viz.style import Colour
 
-__all__ = ["Layout", "graph_archetypes", "lay_out", "log_graph", "log_layout"]
-
 _MEANINGS = {"X": "pose", "V": "velocity", "L": "shape", "O": "offsets", "P": "plane", "M": "medial plane"}
 _COLUMN, _ROW, _GAP = 130.0, 30.0, 75.0
 _WIDTH = 4  # nodes in a row

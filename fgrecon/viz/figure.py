@@ -8,8 +8,6 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-__all__ = ["Drawing"]
-
 _WIDEST = 1200.0  # pixels in a notebook
 
 

@@ -19,16 +19,6 @@ from fgrecon.viz.marks import unit
 from fgrecon.viz.subjects import DrawnScene, DrawnVehicle
 from fgrecon.viz.tags import Plates
 
-__all__ = [
-    "DASHES",
-    "FONT",
-    "START_DASHES",
-    "TRUE_DASHES",
-    "draw_scene_from_above",
-    "ellipse_scale",
-    "extent_from_above",
-]
-
 FONT = 6.0
 """Size of a scene picture's type, points."""
 _RADIUS = 2.4477  # standard deviations that hold a position with `describe.LEVEL`, in two dimensions

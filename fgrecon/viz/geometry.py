@@ -13,27 +13,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import cross, transform
 from fgrecon.core.observation import Observation
 
-__all__ = [
-    "BOX_EDGES",
-    "NOSE",
-    "Box",
-    "as_image",
-    "box_path",
-    "crop_around",
-    "ellipse",
-    "ellipsoids",
-    "face_outlines",
-    "fan",
-    "ground_grid",
-    "ground_lines",
-    "image_points",
-    "level_axes",
-    "medial_outlines",
-    "outline_corners",
-    "resolution",
-    "vertex_normals",
-]
-
 Box = tuple[float, float, float, float]
 """x1, y1, x2, y2 in pixels."""
 

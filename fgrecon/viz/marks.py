@@ -15,18 +15,6 @@ from fgrecon.viz.geometry import BOX_EDGES, Box, box_path, image_points, outline
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
-__all__ = [
-    "draw_badge",
-    "draw_box",
-    "draw_crop",
-    "draw_edges",
-    "draw_grid",
-    "draw_keypoints",
-    "draw_paths",
-    "draw_true_box",
-    "unit",
-]
-
 _LINE = 1.6
 
 

@@ -28,8 +28,6 @@ from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, draw_keypoints, u
 from fgrecon.viz.picture import CELL_ASPECT, new_figure, new_sheet, place_axes
 from fgrecon.viz.solid import draw_from_above, draw_three_quarter
 
-__all__ = ["html", "plot", "plot_track"]
-
 _GAP, _HEADING, _FOOT = 0.1, 0.3, 0.8  # inches, as all sizes here
 _WIDTH, _HEIGHT, _SOLID, _ABOVE = 3.4, 2.3, 2.2, 2.0
 _COLUMNS, _CELL = 4, 2.6

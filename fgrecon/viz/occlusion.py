@@ -15,8 +15,6 @@ from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.viz.geometry import fan, image_points
 from fgrecon.viz.style import Colour
 
-__all__ = ["DepthImage", "PosedModel", "depth_image", "pieces_of", "render_models", "runs_of", "shading"]
-
 PosedModel = tuple[VehicleMesh, NDArray[np.float64], Colour]
 """A model, the pose (4, 4) it has, and its colour."""
 

@@ -17,8 +17,6 @@ from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, as_image, box_path, image_points, outline_corners
 from fgrecon.viz.subjects import DrawnVehicle
 
-__all__ = ["annotated"]
-
 Rectangle = tuple[int, int, int, int]
 """Left, top, right, bottom in pixels."""
 

@@ -28,18 +28,6 @@ from fgrecon.viz.style import Side
 from fgrecon.viz.subjects import SolvedVehicle
 from fgrecon.viz.truth import Truth
 
-__all__ = [
-    "CELL_ASPECT",
-    "FORMATS",
-    "as_rgb",
-    "contact_sheet",
-    "new_figure",
-    "new_sheet",
-    "picture",
-    "place_axes",
-    "save_picture",
-]
-
 FORMATS = ("png", "svg", "pdf", "jpg", "jpeg")
 """File types that `save_picture` writes, by the ending of the name."""
 

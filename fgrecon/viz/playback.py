@@ -17,8 +17,6 @@ from fgrecon.viz.describe import weight_updates
 from fgrecon.viz.geometry import image_points
 from fgrecon.viz.subjects import SolvedVehicle
 
-__all__ = ["RESULT", "Playback", "Rows"]
-
 RESULT = "result"
 """Stage of the only step of a recording without a history."""
 

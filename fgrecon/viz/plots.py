@@ -15,19 +15,6 @@ from fgrecon.viz.describe import describe_stop, describe_update, median_residual
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.style import Colour
 
-__all__ = [
-    "INFO",
-    "WARN",
-    "PlotSink",
-    "energy_fields",
-    "log_columns",
-    "log_history",
-    "log_plots",
-    "log_summary",
-    "log_words",
-    "status_line",
-]
-
 INFO, WARN = "INFO", "WARN"
 """Levels of the log's lines; that of a failure is `ERROR`."""
 

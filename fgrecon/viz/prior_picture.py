@@ -12,8 +12,6 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.viz import style
 from fgrecon.viz.marks import draw_edges, unit
 
-__all__ = ["MODE_RANGE", "prior_picture"]
-
 MODE_RANGE = 2.0
 """How far each mode is shown, in standard deviations."""
 

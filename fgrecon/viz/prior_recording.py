@@ -13,8 +13,6 @@ from fgrecon.viz import style
 from fgrecon.viz.prior_picture import MODE_RANGE
 from fgrecon.viz.sinks import APPLICATION, Recording
 
-__all__ = ["record_prior"]
-
 _STEPS = 40
 _RADIUS = -1.6
 """Line width of the recording in screen units (negative numbers are pixels in rerun)."""

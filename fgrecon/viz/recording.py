@@ -35,20 +35,6 @@ from fgrecon.viz.sinks import Recording
 from fgrecon.viz.subjects import Photograph, SolvedVehicle
 from fgrecon.viz.truth import Truth
 
-__all__ = [
-    "line_style",
-    "log_camera",
-    "log_ellipsoids",
-    "log_frame",
-    "log_ground",
-    "log_image",
-    "log_result",
-    "log_steps",
-    "log_truth",
-    "log_vehicle",
-    "recording_of",
-]
-
 _AXES = (3, 2, 5)  # right, down, forward in rerun's numbers
 _SURFACE_ALPHA = 150  # of 255: the wireframe shows through
 _PLANE_ALPHA = 40

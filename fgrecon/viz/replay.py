@@ -22,8 +22,6 @@ from fgrecon.io.isolated import Isolated
 from fgrecon.viz import entities
 from fgrecon.viz.columns import FIELDS
 
-__all__ = ["LogLine", "Replay", "Series", "StageSummary", "read"]
-
 _SCALARS, _NAMES = "Scalars:scalars", "SeriesLines:names"
 _WORDS_AND_STEPS = (entities.HISTORY, entities.TRACK, entities.LOG)
 _TEXT, _LEVEL = "TextLog:text", "TextLog:level"

@@ -26,8 +26,6 @@ from fgrecon.viz.scene_table import draw_key, draw_table, scene_page
 from fgrecon.viz.subjects import DrawnScene, DrawnVehicle
 from fgrecon.viz.tags import Plates
 
-__all__ = ["scene_picture"]
-
 _CM = 1 / 2.54  # inches
 _WIDTH, _EDGE, _GAP, _HEADING = 8.0 * _CM, 0.04 * _CM, 0.15 * _CM, 0.32 * _CM
 _TALLEST, _ABOVE, _AXIS_LEFT, _AXIS_BELOW = 7.0 * _CM, 4.3 * _CM, 0.74 * _CM, 0.68 * _CM

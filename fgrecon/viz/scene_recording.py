@@ -27,8 +27,6 @@ from fgrecon.viz.recording import line_style, log_camera, log_ellipsoids, log_im
 from fgrecon.viz.sinks import Recording
 from fgrecon.viz.subjects import DrawnVehicle, Member, SolvedVehicle, members_of
 
-__all__ = ["named_boxes", "scene_recording_of", "state_in_words"]
-
 _RADIUS = 2.7955  # standard deviations that hold a position with a probability of 95 %, in three dimensions
 _SPACING = 5.0  # metres between the lines of the ground's grid
 

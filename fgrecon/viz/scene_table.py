@@ -17,8 +17,6 @@ from fgrecon.viz.marks import unit
 from fgrecon.viz.subjects import DrawnScene, DrawnVehicle
 from fgrecon.viz.truth import ORIENTATION_ERROR, TRANSLATION_ERROR
 
-__all__ = ["Row", "ScenePage", "draw_key", "draw_table", "scene_page"]
-
 _MINUS = str.maketrans("-", "−")
 _WORDS = 30  # characters of a model's name
 _WIDE = 100.0  # metres from which on there is no room for a decimal

@@ -18,19 +18,6 @@ from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.core.text import whole_text
 from fgrecon.io.files import replacing
 
-__all__ = [
-    "APPLICATION",
-    "LOOPBACK",
-    "Recording",
-    "check_viewer",
-    "connected",
-    "free_port",
-    "has_display",
-    "reachable",
-    "start_viewer",
-    "viewer_command",
-]
-
 APPLICATION = "fgrecon"
 """First part of the application that a recording names; the second is the recording's own name. Viewers keep one layout
 per application, and ours zooms to the vehicle: two recordings in one viewer must not share it."""

@@ -20,8 +20,6 @@ from fgrecon.viz.occlusion import shading
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
-__all__ = ["draw_from_above", "draw_three_quarter"]
-
 _OBLIQUE, _ELEVATION = np.radians(52.0), np.radians(18.0)
 _LIGHT = np.array([0.35, 0.55, 0.75])
 _HIDDEN = 0.5

@@ -21,18 +21,6 @@ from fgrecon.viz import entities
 from fgrecon.viz.geometry import as_image
 from fgrecon.viz.truth import Truth
 
-__all__ = [
-    "DrawnScene",
-    "DrawnVehicle",
-    "Member",
-    "Photograph",
-    "SolvedVehicle",
-    "TrackInputs",
-    "detection_words",
-    "jpeg",
-    "members_of",
-]
-
 _JPEG_QUALITY = 92
 
 

@@ -13,8 +13,6 @@ from fgrecon.core.geometry import box_around
 from fgrecon.viz import style
 from fgrecon.viz.marks import unit
 
-__all__ = ["Plates"]
-
 Place = tuple[float, float]
 _TALL, _WIDE, _MORE = 1.55, 0.68, 0.55  # of a plate, and its width per character, in font sizes
 _REACHES = (1.0, 2.0, 3.2, 4.6, 6.5, 9.0)  # how far from what it names, in halves of its size

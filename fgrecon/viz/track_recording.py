@@ -36,8 +36,6 @@ from fgrecon.viz.recording import line_style, log_camera, log_frame, log_ground,
 from fgrecon.viz.sinks import Recording
 from fgrecon.viz.subjects import TrackInputs
 
-__all__ = ["track_recording_of"]
-
 _FAINT = 110
 _STAGE = 2  # of the joint optimisation on the timeline `stage`: initialisation and pose come before
 

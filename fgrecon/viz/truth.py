@@ -13,8 +13,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import orientation_error, translation_error
 from fgrecon.core.reconstruction import rotation_y
 
-__all__ = ["ORIENTATION_ERROR", "SHAPE_ERROR", "TRANSLATION_ERROR", "Truth"]
-
 ORIENTATION_ERROR = "orientation_deg"
 TRANSLATION_ERROR = "translation_m"
 SHAPE_ERROR = "keypoints_m"

@@ -27,8 +27,6 @@ from fgrecon.viz.scene_recording import named_boxes
 from fgrecon.viz.sinks import APPLICATION, Recording, connected
 from fgrecon.viz.subjects import DrawnVehicle, jpeg
 
-__all__ = ["LiveRecording", "RecordedFrame", "video_recording_of"]
-
 _JPEG = 85  # quality
 _RING, _RINGS = 10.0, 5  # metres between circles, and how many there are
 _BAND = 0.75  # width of the lines of a band; the value between them has 2

@@ -12,8 +12,6 @@ from fgrecon.io.keypoint_file import parse_camera
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes
 
-__all__ = ["read_camera"]
-
 
 def read_camera(source: str | Path, image: str | None = None) -> MountedCamera:
     """Read a camera from a calibration file.

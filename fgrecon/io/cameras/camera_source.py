@@ -15,8 +15,6 @@ from fgrecon.io.cameras.camera_file import read_camera
 from fgrecon.io.cameras.rigs import MountedCamera
 from fgrecon.io.kitti_calibration import read_calibration
 
-__all__ = ["CameraSource", "PartOfImage", "assumed_focal_length"]
-
 
 @dataclass(frozen=True)
 class PartOfImage:

@@ -14,8 +14,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.nuscenes import NuScenesTables, pose_of
 
-__all__ = ["MountedCamera", "ground_below", "is_waymo", "nuscenes_camera", "waymo_camera"]
-
 
 @dataclass(frozen=True, eq=False)
 class MountedCamera:

@@ -17,8 +17,6 @@ from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import Fields, numbers, within
 from fgrecon.io.lens_fields import as_number, check_unused, read_distortion, read_size
 
-__all__ = ["read_storage", "storage_camera"]
-
 _MATRIX = "camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k", "intrinsic_matrix"
 _PROJECTION = "projection_matrix", "P", "p"
 _MOST = 100_000

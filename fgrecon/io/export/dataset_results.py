@@ -17,8 +17,6 @@ from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, image_box,
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.kitti_files import Objects, format_results
 
-__all__ = ["coco_results_text", "kitti_objects", "kitti_text", "nuscenes_text"]
-
 _UNKNOWN = -1.0  # KITTI's mark
 _KITTI_KINDS = {kind.lower(): kind for kind in ("Car", "Van", "Truck", "Tram", "Misc")}
 _COCO_CATEGORY = 1

@@ -15,8 +15,6 @@ from fgrecon.io.export.results import NamedResult
 from fgrecon.io.export.table import csv_of_rows, csv_text, parquet_bytes, parquet_of_rows
 from fgrecon.io.files import check_ending, write_bytes
 
-__all__ = ["FORMATS", "KINDS", "TABLE_FORMATS", "check_format", "export", "export_rows"]
-
 Images = Mapping[str, ImageInfo]
 
 _WRITERS: dict[str, Callable[[Sequence[NamedResult], Images], bytes]] = {

@@ -18,21 +18,6 @@ from fgrecon.core.repr import brief_repr
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.json_fields import Fields, read_json
 
-__all__ = [
-    "EVERY",
-    "ImageInfo",
-    "box_in",
-    "by_image",
-    "image_box",
-    "info_of",
-    "names_of",
-    "plain_quaternion",
-    "plain_vector",
-    "quaternion",
-    "read_images_file",
-    "score",
-]
-
 EVERY = "*"
 """Name of what holds for every image that is not named."""
 

@@ -37,8 +37,6 @@ from fgrecon.io.export.messages import DETECTIONS, FRAME_TRANSFORMS, SCENE_UPDAT
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.export.upright import CAMERA, MAP, WORLD, FrameTransform, transforms
 
-__all__ = ["detections_bytes", "pose_covariance", "scene_bytes"]
-
 _PERIOD = 0.1  # seconds between images whose times are not known
 _NANO = 1_000_000_000
 _MCAP_SECONDS = 2**64 // _NANO  # its times are 64 bits of nanoseconds

@@ -18,8 +18,6 @@ from fgrecon.core.text import distinct
 from fgrecon.core.vehicle_mesh import SIDE_COLOURS, SURFACE, Colour, edge_sides, keypoint_sides
 from fgrecon.io.export.results import NamedResult
 
-__all__ = ["glb_bytes", "ply_bytes"]
-
 _TUBE, _BALL = 0.012, 0.03  # radii, metres
 _SIDES = 8
 _UPRIGHT = np.diag([1.0, -1.0, -1.0, 1.0])

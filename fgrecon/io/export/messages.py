@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["DETECTIONS", "FRAME_TRANSFORMS", "SCENE_UPDATE", "TRANSFORMS"]
-
 
 def _object(**properties: Any) -> dict[str, Any]:
     return {"type": "object", "properties": properties}

@@ -22,8 +22,6 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.io.json_fields import read_json
 from fgrecon.solve.vehicle.model import prepare
 
-__all__ = ["NamedResult", "Surfaces", "ground_of", "read_results"]
-
 _SAME = 2e-6
 """Metres by which wireframes may differ that were rounded to micrometres."""
 

@@ -12,9 +12,6 @@ from fgrecon.core.serialise import as_arrow
 from fgrecon.core.text import whole_text
 from fgrecon.io.export.results import NamedResult
 
-__all__ = ["csv_of_rows", "csv_text", "parquet_bytes", "parquet_of_rows"]
-
-
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r")
 
 

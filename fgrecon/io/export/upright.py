@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
 
-__all__ = ["CAMERA", "MAP", "WORLD", "FrameTransform", "map_T_camera", "transforms"]
-
 MAP, WORLD, CAMERA = "map", "world", "camera"
 """Names of the frames."""
 

@@ -16,8 +16,6 @@ from fgrecon.io.export.image_info import ImageInfo, info_of, names_of
 from fgrecon.io.export.results import NamedResult, ground_of
 from fgrecon.io.json_fields import parse_json
 
-__all__ = ["check_video_format", "frames_file", "read_video_frames"]
-
 _FILE = "frames.jsonl"
 _FORMAT = "fgrecon.video-frame/1"
 _OF_IMAGES = ("nuscenes", "coco", "foxglove", "vision_msgs")

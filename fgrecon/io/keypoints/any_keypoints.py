@@ -20,8 +20,6 @@ from fgrecon.io.keypoints.network_results import object_records
 from fgrecon.io.keypoints.records import NOT_JSON, named_records
 from fgrecon.io.keypoints.translate import translated
 
-__all__ = ["keypoints_from", "parse_any_keypoints", "read_any_keypoints"]
-
 _Records = Iterable[tuple[Mapping[str, Any] | InvalidInputError, str]]
 
 

@@ -21,8 +21,6 @@ from fgrecon.io.json_fields import Fields, plain_id
 from fgrecon.io.keypoints.names import Names, order_of
 from fgrecon.io.lens_fields import read_size
 
-__all__ = ["annotation_records", "is_annotations", "is_result", "result_records"]
-
 Record = dict[str, Any]
 _Id = int | str
 _FLAGS = {0.0: None, 1.0: Observation.confidence_midpoint, 2.0: 1.0}

@@ -20,8 +20,6 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.json_fields import read_json, read_toml
 
-__all__ = ["Names", "NamesLike", "naming_of", "order_of", "parse_names", "scheme_keypoints", "shipped_schemes"]
-
 _FIX = "Give a scheme ({}), pairs theirs=ours, or a file (JSON, TOML) with such pairs or with a list of names."
 
 

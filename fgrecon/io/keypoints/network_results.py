@@ -17,8 +17,6 @@ from fgrecon.core.checks import hidden_as_nan
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.keypoints.names import Names, order_of
 
-__all__ = ["object_records"]
-
 Array = NDArray[np.float64]
 _Records = Iterator[tuple[dict[str, Any], str]]
 _PROBABLE = 0.5  # ultralytics learns confidences as the probability that a point is visible

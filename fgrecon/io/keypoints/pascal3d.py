@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.isolated import Isolated
 
-__all__ = ["AnchoredObject", "read_anchors"]
-
 _VISIBLE = 1
 """Status of an anchor: 1 visible, 2 self-occluded, 3 occluded, 4 truncated, 5 unknown."""
 

@@ -21,8 +21,6 @@ from fgrecon.io.keypoints.coco_records import annotation_records, is_annotations
 from fgrecon.io.keypoints.names import naming_of, scheme_keypoints
 from fgrecon.io.keypoints.pascal3d import read_anchors
 
-__all__ = ["NOT_JSON", "carfusion_records", "keypoint_records", "named_records"]
-
 _CAMERA = ("K", "intrinsics", "distortion", "image_size")
 
 Record = dict[str, Any]

@@ -12,8 +12,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.json_fields import numbers
 from fgrecon.io.keypoints.names import Names, naming_of, order_of
 
-__all__ = ["translated"]
-
 _EXTRA: Mapping[str, tuple[int, ...]] = {"confidence": (), "covariance": (2, 2)}
 """What may stand beside keypoints for each of them, and its shape."""
 

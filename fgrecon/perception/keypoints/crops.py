@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.repr import brief_repr
 
-__all__ = ["FILL", "MARGIN", "Crop", "crop_of", "extract"]
-
 MARGIN = 1.2
 """Side of the crop relative to the longer side of the box."""
 

@@ -11,18 +11,6 @@ from numpy.typing import NDArray
 from fgrecon.core.detection import half_around
 from fgrecon.perception.keypoints.layout import SETTINGS
 
-__all__ = [
-    "ConfidenceCalibration",
-    "Decoded",
-    "decode",
-    "left_probability",
-    "log_softmax",
-    "logit",
-    "peak",
-    "sigmoid",
-    "softmax",
-]
-
 Array = NDArray[np.float64]
 
 _TINY = 1e-6

@@ -10,24 +10,6 @@ from dataclasses import asdict, dataclass
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = [
-    "AZIMUTH_BINS",
-    "MEAN",
-    "PATCH",
-    "PYRAMID",
-    "SETTINGS",
-    "SPREAD",
-    "STRIDE",
-    "Block",
-    "CascadeSettings",
-    "KNetLayout",
-    "KNetSettings",
-    "Layer",
-    "RefineLayout",
-    "RefineSettings",
-    "same",
-]
-
 AZIMUTH_BINS = 36
 """Directions that the azimuth output tells apart: bin b is centred at 10 b degrees."""
 

@@ -18,8 +18,6 @@ from fgrecon.io.files import write_bytes
 from fgrecon.io.integrity import check_hash
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 
-__all__ = ["FORMAT", "WITHOUT_STREET", "Stored", "check_arrays", "load_weights", "save_weights", "shipped"]
-
 FORMAT = "fgrecon.keypoints/1"
 
 _NAME = "keypoints-car14"

@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from fgrecon.perception.keypoints.layout import PYRAMID, Block, KNetLayout, Layer, RefineLayout
 
-__all__ = ["Operations", "folded_arrays", "knet", "refinement"]
-
 Array = NDArray[np.float32]
 
 

@@ -12,8 +12,6 @@ from fgrecon.perception.keypoints.layout import MEAN, PATCH, SPREAD, KNetLayout,
 from fgrecon.perception.keypoints.networks import folded_arrays, knet, refinement
 from fgrecon.perception.keypoints.sessions import Network, open_session
 
-__all__ = ["knet_on_onnx", "refinement_on_onnx"]
-
 Array = NDArray[np.float32]
 
 _OPSET, _FORMAT = 17, 8  # read by onnxruntime since 1.13

@@ -15,8 +15,6 @@ from fgrecon.perception.keypoints.layout import MEAN, PATCH, SPREAD, KNetLayout,
 from fgrecon.perception.keypoints.networks import folded_arrays, knet, refinement
 from fgrecon.perception.keypoints.sessions import Network
 
-__all__ = ["knet_on_torch", "refinement_on_torch"]
-
 Array = NDArray[np.float32]
 
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from fgrecon.perception.keypoints.layout import PATCH, SETTINGS
 from fgrecon.perception.keypoints.sessions import Network
 
-__all__ = ["cut_patches", "fuse", "patch_offsets", "run_networks", "window_of"]
-
 Array = NDArray[np.float64]
 
 _WINDOW = SETTINGS.fusion_window_px

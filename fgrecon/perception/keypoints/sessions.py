@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["Network", "at_most", "chosen_runtime", "open_session", "threads_of_torch"]
-
 Network = Callable[[NDArray[Any]], Sequence[NDArray[np.float32]]]
 """From the network's input to its outputs."""
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from factors.native import native
 from fgrecon.solve.graph.graph_settings import SETTINGS
 
-__all__ = ["Anderson"]
-
 Array = NDArray[np.float64]
 
 NEWTON = SETTINGS.newton

@@ -16,17 +16,6 @@ from fgrecon.solve.graph.graph import Graph
 from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 
-__all__ = [
-    "Covariances",
-    "Spread",
-    "covariance_of",
-    "factorise",
-    "joint_covariance",
-    "projected_covariances",
-    "read_covariances",
-    "undetermined",
-]
-
 Array = NDArray[np.float64]
 
 

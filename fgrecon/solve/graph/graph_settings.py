@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["SETTINGS", "GraphSettings", "NewtonSettings", "ReweightingSettings"]
-
 
 @dataclass(frozen=True)
 class NewtonSettings:

@@ -21,8 +21,6 @@ from fgrecon.core.geometry import turn_between
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.graph_settings import SETTINGS
 
-__all__ = ["is_flipped", "select_modes"]
-
 Array = NDArray[np.float64]
 
 

@@ -34,8 +34,6 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.restarts import lower_poses
 from fgrecon.solve.proposals.search_settings import SETTINGS as POSE_SEARCH
 
-__all__ = ["MultiStartResult", "SolvedStage", "minimise_from_proposals", "start_state"]
-
 
 @dataclass(frozen=True)
 class SolvedStage:

@@ -33,8 +33,6 @@ from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.solver import minimise
 
-__all__ = ["Descent", "Step"]
-
 Array = NDArray[np.float64]
 
 NEWTON = SETTINGS.newton

@@ -27,8 +27,6 @@ from fgrecon.solve.graph.vehicle_part import VehiclePart
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.terms import Hypotheses
 
-__all__ = ["ObservationPart", "Weights"]
-
 Array = NDArray[np.float64]
 
 

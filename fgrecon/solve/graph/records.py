@@ -16,8 +16,6 @@ from fgrecon.solve.graph.multi_start import SolvedStage
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 from fgrecon.solve.graph.optimise import Step
 
-__all__ = ["graph_factors", "iterations", "joint_steps"]
-
 _OVER_TIME = {"V": "velocity", "VV": "velocity change", "XVX": "motion"}
 """What extra factors on these variables are about."""
 

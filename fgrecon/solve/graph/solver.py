@@ -11,8 +11,6 @@ import gtsam
 from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError
 from fgrecon.solve.graph.graph_settings import SETTINGS
 
-__all__ = ["Solution", "minimise"]
-
 
 @dataclass(frozen=True)
 class Solution:

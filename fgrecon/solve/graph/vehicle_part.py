@@ -32,8 +32,6 @@ from factors.shape_terms import STACKED, ShapeTerms
 from fgrecon.core.options import Options
 from fgrecon.solve.vehicle.model import VehicleModel
 
-__all__ = ["Terms", "VehiclePart", "fleet_prior", "is_any_fleets", "vehicle_part"]
-
 Array = NDArray[np.float64]
 Terms = Mapping[str, list[gtsam.NonlinearFactor]]
 """Factors by the name of their energy term."""

@@ -30,8 +30,6 @@ from numpy.typing import NDArray
 
 from factors.native import native
 
-__all__ = ["PAIRS", "Minima", "minima", "products"]
-
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 

@@ -34,8 +34,6 @@ from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.solve.proposals import _polynomial
 
-__all__ = ["PnPSolution", "aspnp", "aspnp_cost"]
-
 Array = NDArray[np.float64]
 
 _EXPLAINED = 1e-9  # smallest relative gain over an object at infinity that is no rounding error

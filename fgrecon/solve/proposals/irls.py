@@ -24,8 +24,6 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import PoseEnergy
 from fgrecon.solve.proposals.terms import Hypotheses
 
-__all__ = ["Algorithm1Result", "algorithm1", "refine_pose"]
-
 Array = NDArray[np.float64]
 
 

@@ -25,8 +25,6 @@ from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.starts import all_starts
 from fgrecon.solve.proposals.terms import Hypotheses
 
-__all__ = ["PoseEstimate", "distinct", "search_pose"]
-
 Array = NDArray[np.float64]
 
 

@@ -20,8 +20,6 @@ from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import BoxTerm, DirectionTerm, GroundTerm, KeypointTerm, SizeTerm
 from fgrecon.solve.vehicle.model import VehicleModel
 
-__all__ = ["Problem", "box_term", "keypoint_covariances"]
-
 Array = NDArray[np.float64]
 
 

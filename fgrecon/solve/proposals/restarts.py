@@ -25,8 +25,6 @@ from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.starts import at_azimuths, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
 
-__all__ = ["lower_poses"]
-
 Array = NDArray[np.float64]
 
 RESTARTS = SETTINGS.restarts

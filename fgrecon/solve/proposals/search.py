@@ -27,8 +27,6 @@ from fgrecon.solve.proposals.terms import (
 )
 from fgrecon.solve.vehicle.visibility import VisibilityTable
 
-__all__ = ["PoseEnergy", "SearchResult", "search"]
-
 Array = NDArray[np.float64]
 
 _Summand = BoxTerm | SizeTerm | GroundTerm | DirectionTerm | CoefficientTerm

@@ -17,8 +17,6 @@ from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.vehicle.model import VehicleModel
 
-__all__ = ["all_starts", "at_azimuths", "from_box3d", "view_box"]
-
 Array = NDArray[np.float64]
 
 

@@ -28,18 +28,6 @@ from fgrecon.core.robust import Evidence, RobustStrategy
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.proposals.search_settings import SETTINGS
 
-__all__ = [
-    "BoxTerm",
-    "CoefficientTerm",
-    "DirectionTerm",
-    "GroundTerm",
-    "Hypotheses",
-    "KeypointTerm",
-    "Quadratic",
-    "SizeTerm",
-    "direction_penalty",
-]
-
 Array = NDArray[np.float64]
 
 

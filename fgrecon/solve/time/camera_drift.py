@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from fgrecon.solve.time.time_settings import SETTINGS
 
-__all__ = ["CameraDrift"]
-
 Array = NDArray[np.float64]
 
 

@@ -15,8 +15,6 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.heading_filter import HEADINGS, Belief, carried
 from fgrecon.solve.time.time_settings import SETTINGS
 
-__all__ = ["Frame", "FrameStep", "PosedImage"]
-
 Array = NDArray[np.float64]
 
 

@@ -23,8 +23,6 @@ from fgrecon.solve.time.frame import Frame, PosedImage
 from fgrecon.solve.time.heading_filter import another_side, backward, combined, direction_evidence, pose_evidence
 from fgrecon.solve.time.time_settings import SETTINGS
 
-__all__ = ["choose_headings", "image_evidence", "moved_to"]
-
 Array = NDArray[np.float64]
 Image = TypeVar("Image", bound=PosedImage)
 

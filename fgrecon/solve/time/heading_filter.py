@@ -24,20 +24,6 @@ from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.solve.time.time_settings import SETTINGS
 
-__all__ = [
-    "HEADINGS",
-    "Belief",
-    "another_side",
-    "backward",
-    "box_evidence",
-    "carried",
-    "combined",
-    "direction_evidence",
-    "evidence_weight",
-    "path_evidence",
-    "pose_evidence",
-]
-
 Array = NDArray[np.float64]
 
 _BINS = 72

@@ -22,8 +22,6 @@ from fgrecon.solve.time.heading_filter import HEADINGS, Belief
 from fgrecon.solve.time.smooth import beliefs, pieces
 from fgrecon.solve.time.time_settings import SETTINGS
 
-__all__ = ["beliefs_with_neighbours", "neighbour_evidence"]
-
 Array = NDArray[np.float64]
 
 

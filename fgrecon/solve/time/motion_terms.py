@@ -17,8 +17,6 @@ from fgrecon.core.category import MotionModel
 from fgrecon.solve.time.frame import FrameStep
 from fgrecon.solve.time.time_settings import SETTINGS
 
-__all__ = ["between_terms", "velocity_terms"]
-
 
 def between_terms(
     frames: tuple[int, int],

@@ -16,8 +16,6 @@ from fgrecon.solve.time.heading_filter import Belief, backward, combined
 from fgrecon.solve.time.time_settings import SETTINGS
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, solve_single, solve_window
 
-__all__ = ["Smoothed", "beliefs", "pieces", "smooth"]
-
 Smoothed = tuple[WindowSolve, Sequence[Frame], range]
 """A stretch: what was solved, its frames, and those of them that it gives, by index."""
 

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["SETTINGS", "TimeSettings"]
-
 
 @dataclass(frozen=True)
 class TimeSettings:

@@ -38,8 +38,6 @@ from fgrecon.solve.time.heading_filter import Belief, evidence_weight, path_evid
 from fgrecon.solve.time.time_settings import SETTINGS
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, solve_single, solve_window, thinned
 
-__all__ = ["FilterModel", "VehicleFilter", "VehicleUpdate", "first_observed"]
-
 Array = NDArray[np.float64]
 
 

@@ -42,8 +42,6 @@ from fgrecon.solve.time.heading_filter import another_side
 from fgrecon.solve.time.motion_terms import between_terms, velocity_terms
 from fgrecon.solve.time.time_settings import SETTINGS
 
-__all__ = ["MotionFactors", "WindowSolve", "solve_single", "solve_window", "thinned", "velocity_covariances"]
-
 Array = NDArray[np.float64]
 
 MotionFactors = Callable[[int, int, float, float], Sequence[gtsam.NonlinearFactor]]

@@ -19,8 +19,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import SizePrior
 
-__all__ = ["SizeRelation", "express", "given_size", "is_one_vehicle", "learn_size_relation", "of_fleet"]
-
 Array = NDArray[np.float64]
 
 _TIGHT = 0.5  # of the prior's own spread: from there on a size tells one vehicle from another

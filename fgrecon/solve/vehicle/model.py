@@ -16,8 +16,6 @@ from fgrecon.core.size_prior import SizePrior, other_fleets
 from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle, of_fleet
 from fgrecon.solve.vehicle.visibility import VisibilityTable
 
-__all__ = ["LinearPoints", "VehicleModel", "prepare", "sized"]
-
 Array = NDArray[np.float64]
 
 _OUTLINE_DIRECTIONS = 200

@@ -33,8 +33,6 @@ from numpy.typing import ArrayLike, NDArray
 from factors.native import native
 from fgrecon.core.shape_prior import ShapePrior, Surface
 
-__all__ = ["TOLERANCE", "VisibilityTable", "cast", "clearance", "occluder", "probability"]
-
 TOLERANCE = 0.1
 """How far, in metres, a keypoint may lie behind the surface and still count as visible."""
 
