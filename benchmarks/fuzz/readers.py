@@ -152,7 +152,7 @@ READERS: Mapping[str, Reader] = {
     "annotations": Reader(lambda path: load_annotations([path], _CAR), _annotations),
     "results": Reader(read_results, _results),
     "boxes": Reader(
-        lambda path: read_boxes(path, "a.png", (640, 480)),
+        lambda path: read_boxes(path, "a.png", (100, 50)),
         lambda: {"b.txt": _LABEL.encode(), "a.txt": b"2 0.5 0.5 0.2 0.3 0.9\n", "c.json": _keypoints()["coco.json"]},
     ),
     "camera": Reader(

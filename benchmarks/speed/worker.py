@@ -121,7 +121,7 @@ def answer_track(indices: list[int]) -> dict[str, Any]:
         "cpu": cpu,
         "wall": wall,
         "memory": resident("VmHWM") - before,
-        "stages": dict(result.diagnostics.milliseconds),
+        "stages": dict(result.milliseconds),
     }
 
 

@@ -99,7 +99,10 @@ def test_what_determines_no_pose_is_degenerate(spoilt, field):
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (1e5, -1e5)])
 def test_random_points_never_crash(offset):
-    """Garbage that is well formed gives a result or a refusal, never another exception nor a dead process."""
+    """Garbage that is well formed gives a result or a refusal, never another exception nor a dead process.
+
+    Points beside the camera's axis by nearly a right angle are refused, all of them.
+    """
     rng = np.random.default_rng(7)
     results = 0
     for _ in range(15):
@@ -112,7 +115,7 @@ def test_random_points_never_crash(offset):
         results += 1
         assert np.isfinite(result.camera_T_object).all()
         assert result.message
-    assert 0 < results < 15
+    assert (0 < results < 15) if offset == (0.0, 0.0) else results == 0
 
 
 def test_three_points_are_the_fewest_and_are_not_called_certain():

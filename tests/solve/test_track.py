@@ -164,9 +164,7 @@ def test_a_track_anneals(car):
     for frame in track.frames:
         joint = [step for step in frame.diagnostics.history if step.stage == "joint"]
         assert joint[0].weights.sum() > 1.05 * joint[-1].weights.sum()
-        alone = [step for step in frame.diagnostics.history if step.stage == "pose"][
-            -1
-        ]  # at the end of its own annealing
+        *_, alone = (step for step in frame.diagnostics.history if step.stage == "pose")  # at its annealing's end
         assert joint[0].weights.sum() > 1.05 * alone.weights.sum()
 
 

@@ -23,10 +23,10 @@ def test_where_an_id_passes_to_another_vehicle_that_begins_anew():
             assert off(one, second)[0] < 10.0
             assert one.facing_probability > 0.8
         assert np.linalg.norm(online[-1].reconstruction.location - fresh.reconstruction.location) < 0.1
-        coefficients = fresh.reconstruction.coefficients
-        np.testing.assert_allclose(online[-1].reconstruction.coefficients, coefficients, atol=0.2)
-        coefficients = smoothed_fresh[-1].reconstruction.coefficients
-        np.testing.assert_allclose(smoothed[-1].reconstruction.coefficients, coefficients, atol=0.2)
+        coefficients = fresh.reconstruction.shape.coefficients
+        np.testing.assert_allclose(online[-1].reconstruction.shape.coefficients, coefficients, atol=0.2)
+        coefficients = smoothed_fresh[-1].reconstruction.shape.coefficients
+        np.testing.assert_allclose(smoothed[-1].reconstruction.shape.coefficients, coefficients, atol=0.2)
 
 
 def test_one_frame_of_another_vehicle_changes_nothing_afterwards():

@@ -37,8 +37,8 @@ def test_a_track_of_one_frame_is_a_single_image():
     for (estimate,) in (online, smoothed):
         result = estimate.reconstruction
         np.testing.assert_array_equal(result.camera_T_object, alone.camera_T_object)
-        np.testing.assert_array_equal(result.coefficients, alone.shape.coefficients)
-        np.testing.assert_array_equal(result.pose_covariance, alone.uncertainty.pose_covariance)
+        np.testing.assert_array_equal(result.shape.coefficients, alone.shape.coefficients)
+        np.testing.assert_array_equal(result.uncertainty.pose_covariance, alone.uncertainty.pose_covariance)
         assert (result.status, result.message) == (alone.status, alone.message)
         assert estimate.velocity is None
         assert estimate.velocity_covariance is None
@@ -71,7 +71,7 @@ def test_a_turned_first_frame_is_mended_by_those_after():
     assert off(online[0], poses[0])[0] > 150.0
     assert off(online[-1], poses[-1])[0] < 10.0
     assert max(off(estimate, pose)[0] for estimate, pose in zip(smoothed, poses, strict=True)) < 10.0
-    assert len({tuple(one.reconstruction.coefficients) for one in smoothed}) == 1
+    assert len({tuple(one.reconstruction.shape.coefficients) for one in smoothed}) == 1
 
 
 @pytest.mark.parametrize("moving", [False, True], ids=["camera stands", "camera drives"])
@@ -300,7 +300,7 @@ def test_a_frame_that_was_turned_round_wrongly_is_turned_back():
     rng, poses = np.random.default_rng(2), approaching(12)
     given = [seen(pose, rng, turned=t < 2) for t, pose in enumerate(poses)]
     _, smoothed = follow([(0.1 * t, one, None) for t, one in enumerate(given)])
-    assert min(one.reconstruction.weights.mean() for one in smoothed[2:]) > 0.5
+    assert min(one.reconstruction.diagnostics.weights.mean() for one in smoothed[2:]) > 0.5
 
 
 def test_a_camera_that_was_lost_for_long_is_known_again_afterwards():
