@@ -84,7 +84,7 @@ _SENTENCES = {
     "mirrored": "The keypoints of {} fit better with left and right exchanged. Left and right are the vehicle's own; "
     "or is the image mirrored?",
     "air": "The results of {} are high up in the air, or lean by tens of degrees against the camera. Are the camera's "
-    "intrinsics right, and the image upright?",
+    "intrinsics right, and the image upright? Of a camera that looks down give the ground.",
     "fit": "Hardly a keypoint of {} fits. Is their order the category's, and are left and right the vehicle's own?",
 }
 
@@ -215,7 +215,8 @@ def result_warning_of(observation: Observation, result: Reconstruction) -> Input
     if share is not None and share < _FEW:
         return InputWarning.FIT
     pose = result.camera_T_object
-    if result.status.determined and np.isfinite(pose).all():
+    grounded = "ground" in result.diagnostics.energies  # which says how the camera looks at it
+    if result.status.determined and not grounded and np.isfinite(pose).all():
         x, y, z = pose[:3, 3].tolist()
         if pose[1, 1] < math.cos(_LEANING) or -y > _ABOVE * math.hypot(x, z):
             return InputWarning.AIR

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fgrecon import reconstruct, reconstruct_scene
+from fgrecon import Ground, reconstruct, reconstruct_scene
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform, yaw_rotation
 from fgrecon.core.input_warnings import InputWarning, camera_warning_of, input_warning_of, summed_up
@@ -16,6 +16,7 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.errors import ContradictoryInputWarning, DegenerateProblemError, InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
+from tests import cars
 
 PRIOR = load_prior("car14")
 NAMES = PRIOR.category.keypoints
@@ -142,3 +143,16 @@ def test_left_and_right_exchanged(yaw, location):
             result = reconstruct(points, CAMERA, confidence=sure)
         assert result.status.value != "converged"
         assert result.diagnostics.mirrored_gain > 8.0
+
+
+def test_a_camera_that_looks_down_on_a_given_ground_is_right():
+    tilt = np.radians(50.0)
+    camera_R_level = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
+    pose = cars.yaw_pose(0.5)
+    pose[:3, :3] = camera_R_level @ pose[:3, :3]
+    pose[:3, 3] = 0.5, 0.3, 12.0
+    ground = Ground(pose[:3, 1], float(pose[:3, 1] @ pose[:3, 3]))
+    seen = cars.observe(PRIOR, pose)
+    assert reconstruct(seen, cars.CAMERA, size_prior="kitti", ground=ground).status.determined  # without a warning
+    with pytest.warns(ContradictoryInputWarning, match="Of a camera that looks down give the ground"):
+        reconstruct(seen, cars.CAMERA, size_prior="kitti")
