@@ -35,6 +35,7 @@ from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.files import write_text
 from fgrecon.io.images import IMAGES, read_photograph
+from fgrecon.io.nuscenes import NEAREST
 from fgrecon.io.run_settings import RunSettings
 
 _NAMED = 8
@@ -139,6 +140,9 @@ def _read_photograph(path: Path, request: ReconstructRequest, settings: RunSetti
     if others := found.other_vehicles:
         listed = ", ".join(f"{count} {kind}" for kind, count in others.most_common())
         screen.note(f"{path.name}: left out {listed}, which {settings.prior.category.name} does not cover.")
+    if found.near:
+        cars = counted(found.near, "car")
+        screen.note(f"{path.name}: left out {cars} nearer to the camera than {NEAREST} m, without a 2D box.")
     tasks = image_tasks(path, source, found.cars, how, screen.watch)
     return _Photograph(path, tasks, source)
 

@@ -20,7 +20,7 @@ from fgrecon.io.image_size import scale_between
 from fgrecon.io.json_fields import Fields, plain_id, read_json
 from fgrecon.io.kitti_files import DETECTION_CLASSES, LABEL_COLUMNS, parse_detection, parse_object
 from fgrecon.io.lens_fields import read_size
-from fgrecon.io.nuscenes import cuboid_boxes, is_nuscenes, open_nuscenes
+from fgrecon.io.nuscenes import NEAREST, cuboid_boxes, is_nuscenes, open_nuscenes
 
 _YOLO_COLUMNS = 5
 LEAST_SCORE = 0.5
@@ -70,6 +70,7 @@ class FileBoxes:
         crowds: How many boxes were left out as crowds.
         classes: How many boxes of the image are of which other class.
         images: How many boxes are of which other image.
+        near: How many cars of nuScenes reach nearer to the camera than its near plane, and have no 2D box.
     """
 
     cars: list[NamedBox]
@@ -77,6 +78,7 @@ class FileBoxes:
     crowds: int = 0
     classes: Counter[str] = field(default_factory=Counter)
     images: Counter[str] = field(default_factory=Counter)
+    near: int = 0
 
     @property
     def other_vehicles(self) -> Counter[str]:
@@ -91,6 +93,7 @@ class FileBoxes:
             "of crowds": self.crowds,
             f"of other classes ({_some(self.classes)})": self.classes.total(),
             f"of other images ({_some(self.images)})": self.images.total(),
+            f"nearer to the camera than {NEAREST} m, which have no 2D box": self.near,
         }
         said = [f"{count} {reason}" for reason, count in reasons.items() if count]
         return f"left out: {', '.join(said)}" if said else "it has no box at all"
@@ -146,8 +149,9 @@ def boxes_in(
     given = Path(image)
     image = given.name
     if is_nuscenes(file):
-        cuboids = cuboid_boxes(open_nuscenes(file), image, "vehicle.car")
-        return FileBoxes([NamedBox(token, corners, BoxModel.CUBOID, kind=_CAR) for token, corners in cuboids])
+        cuboids, near = cuboid_boxes(open_nuscenes(file), image, "vehicle.car")
+        cars = [NamedBox(token, corners, BoxModel.CUBOID, kind=_CAR) for token, corners in cuboids]
+        return FileBoxes(cars, near=near)
     if file.is_dir():
         file = next((path for ending in (".txt", ".json") if (path := file / f"{image}{ending}").is_file()), file)
     if file.suffix.lower() == ".json":

@@ -116,12 +116,16 @@ def _table(path: Path, changed: int) -> Mapping[str, Fields]:  # noqa: ARG001  #
 
 Array = NDArray[np.float64]
 
-_NEAREST = 0.5  # metres; an object that reaches nearer to the camera, or behind it, has no box
+NEAREST = 0.5
+"""Metres: an object that reaches nearer to the camera, or behind it, has no box."""
+
 _CORNERS = np.array([*product((0.5, -0.5), repeat=3)])
 
 
-def cuboid_boxes(tables: NuScenesTables, image: str, kind: str) -> list[tuple[str, Array]]:
+def cuboid_boxes(tables: NuScenesTables, image: str, kind: str) -> tuple[list[tuple[str, Array]], int]:
     """The boxes (4,) of the objects of a category that are in an image, cut at its edges, with their tokens.
+
+    Those that reach nearer to the camera than its near plane have none; how many they are comes second.
 
     Args:
         tables: The tables; of `sample_annotation`, `instance` and `category` as well.
@@ -136,20 +140,21 @@ def cuboid_boxes(tables: NuScenesTables, image: str, kind: str) -> list[tuple[st
     matrix = sensor.numbers("camera_intrinsic", (3, 3))
     camera_T_world = np.linalg.inv(pose_of(tables.named(record, "ego_pose_token", "ego_pose")) @ pose_of(sensor))
     limits = np.array([record.get("width", int), record.get("height", int)]) - 1.0
-    sample, found = record.get("sample_token", str), []
+    sample, found, near = record.get("sample_token", str), [], 0
     for token, label in tables.table("sample_annotation").items():
         if label.data.get("sample_token") == sample and _category(tables, label) == kind:
             width, length, height = label.numbers("size", (3,))
             camera_T_object = camera_T_world @ pose_of(label)
             corners = transform(camera_T_object, _CORNERS * [length, width, height])
-            if corners[:, 2].min() < _NEAREST:
+            if corners[:, 2].min() < NEAREST:
+                near += corners[:, 2].max() > NEAREST
                 continue
             pixels = corners @ matrix.T
             pixels = pixels[:, :2] / pixels[:, 2:]
             box = np.concatenate([np.clip(pixels.min(0), 0.0, limits), np.clip(pixels.max(0), 0.0, limits)])
             if (box[2:] - box[:2]).min() >= 1.0:
                 found.append((token, box))
-    return found
+    return found, near
 
 
 def _category(tables: NuScenesTables, label: Fields) -> str:

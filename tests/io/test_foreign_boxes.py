@@ -131,6 +131,15 @@ def test_nuscenes(tmp_path):
     assert height == pytest.approx(722.25 * 1.5 / near, rel=0.1)
 
 
+def test_a_car_that_reaches_the_near_plane_has_no_box_and_is_counted(tmp_path):
+    folder = labelled(tmp_path)
+    labels = json.loads((folder / "sample_annotation.json").read_text())
+    beside = {**labels[0], "token": "a4", "translation": [414.5, 1183.0, 0.75]}  # from 0.5 m behind to 3.5 m ahead
+    found = boxes_in(labelled(tmp_path, sample_annotation=[labels[1], beside]), "n015-2018__CAM_FRONT__15")
+    assert (found.cars, found.near) == ([], 1)  # what is behind the camera is in no image
+    assert found.left_out == "left out: 1 nearer to the camera than 0.5 m, which have no 2D box"
+
+
 def test_nuscenes_as_its_own_library_projects_it(tmp_path):
     pytest.importorskip("nuscenes.utils.data_classes", exc_type=ImportError)
     from nuscenes.utils.data_classes import Box
