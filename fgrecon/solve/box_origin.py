@@ -21,8 +21,8 @@ CENTRES = (
 
 _DOWN = np.array([0.0, 1.0, 0.0])  # in the camera's frame
 _NATS = 8.0
-"""By which centres explain the heights better. Of 10000 frames of KITTI's labels and four detectors' boxes none has it
-with the other two."""
+"""By which centres explain the heights better; not tuned. No image of 12,216 (KITTI labels, made-up results, 25 frames
+of one detector) has it with the other two; of these images raised to centres 23 % have."""
 _NEAR = 0.25  # by which the median height above the ground may differ from half of the boxes', as a share
 _LEAST = 0.25  # of its height: so far above the ground is every box
 _HEIGHT_SIGMA, _SLOPE_SIGMA = 0.15, 0.02  # metres, and radians: of boxes and roads together
