@@ -1,15 +1,20 @@
 """`benchmarks.speed`: its statistics, its worker processes, and that its parts still fit the solver."""
 
+import json
+
 import numpy as np
 import pytest
 
 from benchmarks.speed import worker
 from benchmarks.speed.authors import authors
-from benchmarks.speed.cases import drive, hard_cars, write_cases
+from benchmarks.speed.builds import REPOSITORY, THIS, Build, base_build
+from benchmarks.speed.cases import drive, hard_cars, streets, write_cases
 from benchmarks.speed.measure import Arm, Table, interleaved, timing_rows
+from benchmarks.speed.side_by_side import SideBySide, timed
 from benchmarks.speed.stages import Car, pose_difference, stages
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.io.catalogue import load_prior
+from fgrecon.simulation.vehicles import KITTI_CAMERA
 from fgrecon.solve.pipeline import reconstruct
 
 from .cars import yaw_pose
@@ -61,6 +66,53 @@ def test_a_worker_solves_as_this_process_does(tmp_path):
     assert memory > 20.0
     assert all(found == [answer["digest"]] for found in bits.values())
     assert {"one thread", "eight threads"} <= set(bits)
+
+
+def test_a_worker_solves_a_scene_and_follows_vehicles(tmp_path):
+    (street,) = streets(2, 1)
+    frames = [
+        {"time": 0.1 * number, "world_T_camera": np.eye(4).tolist(), "vehicles": {"7": _plain(street[0].observation)}}
+        for number in range(2)
+    ]
+    content = {"camera": KITTI_CAMERA.matrix.tolist(), "ground": 1.65, "size": "kitti", "frames": frames}
+    (tmp_path / "frames.json").write_text(json.dumps(content), encoding="utf-8")
+    with Arm(write_cases(tmp_path / "cases.json", street)) as arm:
+        assert arm.ask(scene=[0, 1])["cpu"] > 1.0
+        taken = arm.ask(frames=str(tmp_path / "frames.json"))["cpu"]
+    assert len(taken) == 2
+    assert min(taken) > 0.5
+
+
+def _plain(seen):
+    return {"keypoints": seen.keypoints.tolist(), "confidence": seen.confidence.tolist(), "box": seen.box.tolist()}
+
+
+def test_builds_are_measured_in_turn_and_divided_by_the_first(tmp_path):
+    ran = []
+
+    def measure(build):
+        ran.append(build.name)
+        return {"ms": {"base": 4.0, "this": 1.0}[build.name] * len(ran)}
+
+    both = SideBySide((Build("base"), Build("this")), tmp_path, tmp_path, repeats=2)
+    assert both.rows("solve", measure) == [["solve: ms", 10.0, "4-16", 2.5, "2-3", 0.34375, "0.188-0.5"]]
+    assert ran == ["base", "this", "this", "base"]
+
+
+def test_a_command_is_timed_and_its_errors_are_told(tmp_path):
+    used = timed(THIS, ["-c", "print(sum(range(10**6)))"], tmp_path)
+    assert 0.0 < used["CPU, s"] < 60.0
+    assert used["memory, MB"] > 5.0
+    with pytest.raises(RuntimeError, match="ended with 3: no frames"):
+        timed(THIS, ["-c", "print('no frames'); raise SystemExit(3)"], tmp_path)
+
+
+def test_a_build_that_is_there_is_taken_as_it_is(tmp_path):
+    (tmp_path / "finished").write_text("abc", encoding="ascii")
+    build = base_build(tmp_path, "abc")
+    assert build.python == tmp_path / "environment" / "bin" / "python"
+    assert "PYTHONPATH" not in build.environment
+    assert THIS.environment["PYTHONPATH"].startswith(str(REPOSITORY))
 
 
 def test_a_worker_that_fails_says_so(tmp_path):

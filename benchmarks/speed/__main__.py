@@ -2,6 +2,10 @@
 
 Run from the repository root:
     python -m benchmarks.speed [--out FOLDER] [--quick] [--authors FOLDER] [--only PART ...]
+    python -m benchmarks.speed --run [--base FOLDER] [--frames N] [--repeats N] [--out FOLDER] [--quick] [--only PART]
+
+With `--run` the whole of `fgrecon run` and what it is made of is measured instead, in this tree and in the build of an
+earlier commit in turn, with the threads that both take by themselves.
 
 Milliseconds depend on the machine, ratios hardly: what is compared runs in turn within one run, car by car, and CPU
 time of the process stands beside the wall time. Without the real data (FGRECON_DATA or ../shared/data) only simulated
@@ -11,15 +15,16 @@ cars are solved.
 from __future__ import annotations
 
 import os
+import sys
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
+if "--run" not in sys.argv:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import argparse
 import json
-import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,8 +32,10 @@ from pathlib import Path
 from benchmarks.speed import sections
 from benchmarks.speed.arms import compare
 from benchmarks.speed.authors import authors
+from benchmarks.speed.builds import THIS, base_build
 from benchmarks.speed.cases import Case, hard_cars, marked_cars, real_frames
 from benchmarks.speed.measure import Table, machine
+from benchmarks.speed.side_by_side import SideBySide
 from benchmarks.speed.stages import Car
 from fgrecon.io.catalogue import load_prior
 from tests.conftest import data_root
@@ -113,6 +120,16 @@ class Run:
         return list(sections.steady(self.folder, cases, 200 if self.quick else 5000))
 
 
+RUN_PARTS: dict[str, Callable[[SideBySide], Table]] = {
+    "runs": SideBySide.runs,
+    "delays": SideBySide.delays,
+    "parts": SideBySide.parts,
+    "batch": SideBySide.batch,
+    "first": SideBySide.first,
+    "memory": SideBySide.memory,
+}
+"""Those of `--run`."""
+
 PARTS: dict[str, Callable[[Run], list[Table]]] = {
     "stages": Run.stages,
     "versions": Run.versions,
@@ -126,12 +143,7 @@ PARTS: dict[str, Callable[[Run], list[Table]]] = {
 
 def main() -> int:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, help="folder for speed.md and speed.json")
-    parser.add_argument("--quick", action="store_true", help="few cars, few repeats: whether it works, in two minutes")
-    parser.add_argument("--authors", type=Path, metavar="FOLDER", help="`ceresCode` of the authors' release (C++)")
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART", help=", ".join(PARTS))
-    arguments = parser.parse_args()
+    arguments = _arguments()
     found = machine()
     command = f"<!-- Made by `{' '.join(['python -m benchmarks.speed', *sys.argv[1:]])}`. -->"
     head = [command, "", f"{', '.join(f'{name} {value}' for name, value in found.items())}.", ""]
@@ -139,11 +151,9 @@ def main() -> int:
     tables: list[Table] = []
     started = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        run = Run(Path(folder), arguments.quick, arguments.authors)
-        for part in arguments.only:
-            for table in PARTS[part](run):
-                tables.append(table)
-                print(table.markdown(), flush=True)
+        for table in (_side_by_side if arguments.run else _alone)(Path(folder), arguments):
+            tables.append(table)
+            print(table.markdown(), flush=True)
     print(f"{time.perf_counter() - started:.0f} s", file=sys.stderr)
     if arguments.out is not None:
         arguments.out.mkdir(parents=True, exist_ok=True)
@@ -152,6 +162,44 @@ def main() -> int:
         document = {"machine": found, "tables": [asdict(table) for table in tables]}
         (arguments.out / "speed.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
     return 0
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, help="folder for speed.md and speed.json")
+    parser.add_argument("--quick", action="store_true", help="few cars, few repeats: whether it works, in two minutes")
+    parser.add_argument("--authors", type=Path, metavar="FOLDER", help="`ceresCode` of the authors' release (C++)")
+    parser.add_argument("--run", action="store_true", help="`fgrecon run` in two builds in turn")
+    parser.add_argument("--base", type=Path, metavar="FOLDER", help="keeps the earlier build, and takes the one there")
+    parser.add_argument("--frames", type=int, default=70, help="of `fgrecon run`")
+    parser.add_argument("--repeats", type=int, help="how often each build is measured with --run (3)")
+    names = f"{', '.join(PARTS)}; with --run {', '.join(RUN_PARTS)}"
+    parser.add_argument("--only", nargs="+", metavar="PART", help=names)
+    arguments = parser.parse_args()
+    known = list(RUN_PARTS if arguments.run else PARTS)
+    arguments.only = arguments.only or known
+    if unknown := [part for part in arguments.only if part not in known]:
+        parser.error(f"--only {' '.join(unknown)}: give {', '.join(known)}")
+    return arguments
+
+
+def _alone(folder: Path, arguments: argparse.Namespace) -> Iterator[Table]:
+    run = Run(folder, arguments.quick, arguments.authors)
+    for part in arguments.only:
+        yield from PARTS[part](run)
+
+
+def _side_by_side(folder: Path, arguments: argparse.Namespace) -> Iterator[Table]:
+    data = data_root()
+    if data is None:
+        raise SystemExit("--run needs the real data: FGRECON_DATA, or ../shared/data.")
+    quick = arguments.quick
+    size = {"frames": 15, "repeats": 1, "cars": 100, "long": 40} if quick else {"frames": arguments.frames}
+    size |= {} if arguments.repeats is None else {"repeats": arguments.repeats}
+    builds = (base_build(arguments.base or folder / "base"), THIS)
+    both = SideBySide(builds, folder, data, **size)
+    for part in arguments.only:
+        yield RUN_PARTS[part](both)
 
 
 if __name__ == "__main__":

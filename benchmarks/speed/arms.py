@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import subprocess
-import tarfile
 from collections.abc import Sequence
 from contextlib import ExitStack
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.speed.builds import Build, unpacked
 from benchmarks.speed.cases import Case, write_cases
-from benchmarks.speed.measure import REPOSITORY, Arm, Table, interleaved, timing_rows
+from benchmarks.speed.measure import Arm, Table, interleaved, timing_rows
 from benchmarks.speed.stages import pose_difference
 
 FIRST_RELEASE = "c5fe3798cd6d69755e6545064fff383b5219f4f7"
@@ -24,18 +22,6 @@ NUMPY = {"FGRECON_KERNEL": "numpy"}
 NOW, PLAIN, FIRST = "this version", "this version, kernel off", "first release"
 
 
-def first_release(folder: Path) -> Path | None:
-    """The first release's source, unpacked; None where this is no checkout with its history."""
-    command = ["git", "-C", str(REPOSITORY), "archive", FIRST_RELEASE, "fgrecon", "factors"]
-    try:
-        archive = subprocess.run(command, capture_output=True, check=True).stdout
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    with tarfile.open(fileobj=BytesIO(archive)) as tar:
-        tar.extractall(folder, filter="data")
-    return folder
-
-
 def compare(kinds: dict[str, Sequence[Case]], folder: Path, repeats: int) -> tuple[list[Table], Table]:
     """Times of all arms for each kind of car, and how far their results are from this version's.
 
@@ -44,7 +30,7 @@ def compare(kinds: dict[str, Sequence[Case]], folder: Path, repeats: int) -> tup
         folder: For files.
         repeats: How often each car is solved in each arm.
     """
-    release = first_release(folder / "first_release")
+    release = unpacked(FIRST_RELEASE, folder / "first_release", "fgrecon", "factors")
     differences = Table("Differences between versions", ("", "metres: median", "worst", "degrees: median", "worst"))
     times = [_timed(kind, cases, folder, release, repeats, differences) for kind, cases in kinds.items() if cases]
     if release is None:
@@ -63,7 +49,7 @@ def _timed(
     with ExitStack() as stack:
         arms = {NOW: stack.enter_context(Arm(file)), PLAIN: stack.enter_context(Arm(file, **NUMPY))}
         if release is not None:
-            arms[FIRST] = stack.enter_context(Arm(file, release))
+            arms[FIRST] = stack.enter_context(Arm(file, Build(FIRST, path=(release,))))
         answers = {name: [{} for _ in cases] for name in arms}
         for arm in arms.values():
             arm.ask(solve=0)  # loads what is loaded on use

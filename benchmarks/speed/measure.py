@@ -7,7 +7,6 @@ import json
 import os
 import platform
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,13 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.speed.builds import THIS, Build
+
 Array = NDArray[np.float64]
 Clock = Callable[[], tuple[float, float]]
 """Runs something once and tells its milliseconds of CPU and by the clock."""
 
 COLUMNS = ("", "CPU ms: median", "mean", "p5", "p95", "worst", "wall median", "ratio", "ratio's p5-p95")
 WORKER = Path(__file__).with_name("worker.py")
-REPOSITORY = WORKER.parents[2]
 
 
 @dataclass
@@ -108,13 +108,16 @@ def timing_rows(taken: Mapping[str, Array], reference: str | None = None) -> lis
 
 
 class Arm:
-    """A process that solves the cases of a file, with a tree and an environment of its own."""
+    """A process that solves the cases of a file, by a build.
 
-    def __init__(self, cases: Path, tree: Path = REPOSITORY, **environment: str) -> None:
-        path = os.pathsep.join([str(tree), *filter(None, [os.environ.get("PYTHONPATH")])])
+    A variable of None is left out: `OMP_NUM_THREADS=None` leaves the number of threads to the libraries.
+    """
+
+    def __init__(self, cases: Path, build: Build = THIS, **environment: str | None) -> None:
+        wanted = {**build.environment, "OMP_NUM_THREADS": "1", **environment}
         self._process = subprocess.Popen(
-            [sys.executable, "-W", "ignore", str(WORKER), str(cases)],
-            env={**os.environ, "OMP_NUM_THREADS": "1", **environment, "PYTHONPATH": path},
+            [str(build.python), "-W", "ignore", str(WORKER), str(cases)],
+            env={name: value for name, value in wanted.items() if value is not None},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -1,11 +1,14 @@
 """A process that solves cases with the `fgrecon` that its PYTHONPATH gives: this tree's, or an earlier release's.
 
 It is started as a file, reads one JSON request a line and answers with one. Of the package it uses nothing but
-`reconstruct`, `reconstruct_track` and `load_prior`, so that any version of it can be asked.
+`reconstruct`, `reconstruct_track` and `load_prior`, so that any version of it can be asked; of later ones also
+`reconstruct_scene` and `Tracker`.
 
 Requests, on the cases of the file in its first argument:
     {"solve": index, "history": bool}   milliseconds, pose, coefficients, and a digest of their bits
     {"track": [index, ...]}             milliseconds for one car in these images, and the memory that it took at most
+    {"scene": [index, ...]}             milliseconds for these cars in one image
+    {"frames": file}                    milliseconds of CPU a car, for every frame of a file with vehicles over time
     {"bits": [index, ...]}              digests by one thread, eight threads and forked processes
     {"memory": null}                    resident memory now
 """
@@ -22,7 +25,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -73,10 +76,15 @@ def solve(index: int, *, history: bool = False) -> Any:
     )
 
 
+def part(result: Any, group: str, name: str) -> Any:
+    """A part of a result; earlier releases have no groups."""
+    return getattr(getattr(result, group, result), name)
+
+
 def digest(result: Any) -> str:
     """The bits of pose and shape, in short."""
-    parts = (result.camera_T_object, result.shape.coefficients, result.wireframe)
-    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()[:16]
+    parts = (result.camera_T_object, part(result, "shape", "coefficients"), result.wireframe)
+    return hashlib.sha256(b"".join(np.ascontiguousarray(one).tobytes() for one in parts)).hexdigest()[:16]
 
 
 def answer_solve(index: int, *, history: bool = False) -> dict[str, Any]:
@@ -88,9 +96,9 @@ def answer_solve(index: int, *, history: bool = False) -> dict[str, Any]:
     return {
         "cpu": cpu,
         "wall": wall,
-        "stages": dict(result.diagnostics.milliseconds),
+        "stages": dict(part(result, "diagnostics", "milliseconds")),
         "pose": result.camera_T_object.tolist(),
-        "coefficients": result.shape.coefficients.tolist(),
+        "coefficients": part(result, "shape", "coefficients").tolist(),
         "status": str(result.status),
         "digest": digest(result),
     }
@@ -123,6 +131,40 @@ def answer_track(indices: list[int]) -> dict[str, Any]:
         "memory": resident("VmHWM") - before,
         "stages": dict(result.milliseconds),
     }
+
+
+def answer_scene(indices: list[int]) -> dict[str, Any]:
+    """Cars of one image on one ground, timed."""
+    from fgrecon import Camera, Observation, reconstruct_scene
+
+    first = CASES[indices[0]]
+    seen = [
+        Observation(*(np.array(CASES[i][k], dtype=float) for k in ("keypoints", "confidence", "box"))) for i in indices
+    ]
+    told = {"prior": prior(first["prior"]), "ground": first["ground"], "size_prior": first["size"]}
+    camera = Camera(np.array(first["camera"]))
+    _, cpu, wall = clocked(lambda: reconstruct_scene(seen, camera, options=options(first), **told))
+    return {"cpu": cpu, "wall": wall}
+
+
+def answer_frames(file: str) -> dict[str, list[float]]:
+    """Vehicles over time, followed by `Tracker`: milliseconds of CPU a car of each frame."""
+    from fgrecon import Camera, Observation, Tracker
+
+    content = json.loads(Path(file).read_text(encoding="utf-8"))
+    tracker = Tracker(size_prior=content["size"], options=fgrecon.Options(keep_history=False))
+    told = {"camera": Camera(np.array(content["camera"])), "ground": content["ground"]}
+    taken = []
+    for frame in content["frames"]:
+        pose = None if frame["world_T_camera"] is None else np.array(frame["world_T_camera"])
+        seen = {
+            int(identity): Observation(**{k: np.array(v) if isinstance(v, list) else v for k, v in one.items()})
+            for identity, one in frame["vehicles"].items()
+        }
+        _, cpu, _ = clocked(partial(tracker.update, frame["time"], seen, world_T_camera=pose, **told))
+        if seen:
+            taken.append(cpu / len(seen))
+    return {"cpu": taken}
 
 
 def answer_bits(indices: list[int]) -> dict[str, list[str]]:
@@ -164,6 +206,10 @@ def main() -> None:
             answer: dict[str, Any] = answer_solve(request["solve"], history=request.get("history", False))
         elif "track" in request:
             answer = answer_track(request["track"])
+        elif "scene" in request:
+            answer = answer_scene(request["scene"])
+        elif "frames" in request:
+            answer = answer_frames(request["frames"])
         elif "bits" in request:
             answer = answer_bits(request["bits"])
         else:
