@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from fgrecon.core.observation import Observation, as_directions
 from fgrecon.core.repr import brief_repr
 
 _SUREST = 1e-6
+_ROUNDED = 1e-3  # by how much probabilities may miss one
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +29,14 @@ class Detection:
         azimuth: (A,) probability of each direction from the vehicle to the camera, as in `Observation`. None where the
             detector does not say.
         visible: (K,) probability of each keypoint to be visible, wherever it is; or None.
+        kinds: Probability of each kind of vehicle (`car`, `van`, `lorry`), by name; None where the detector does not
+            say.
     """
 
     observation: Observation
     azimuth: NDArray[np.float64] | None = None
     visible: NDArray[np.float64] | None = None
+    kinds: Mapping[str, float] | None = field(default=None, kw_only=True)
 
     __repr__ = brief_repr
 
@@ -67,6 +72,10 @@ class Detection:
             if ((visible < 0) | (visible > 1)).any():
                 raise InvalidInputError("detection.visible", visible.tolist(), "Give probabilities from 0 to 1.")
             object.__setattr__(self, "visible", own(visible))
+        if self.kinds is not None:
+            shares = as_finite("detection.kinds", list(self.kinds.values()), (None,))
+            if (shares < 0).any() or abs(float(shares.sum()) - 1.0) > _ROUNDED:
+                raise InvalidInputError("detection.kinds", dict(self.kinds), "Give probabilities that sum to one.")
 
 
 def at_direction(values: NDArray[np.float64], azimuth: NDArray[np.float64]) -> NDArray[np.float64]:

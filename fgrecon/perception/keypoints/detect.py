@@ -25,7 +25,15 @@ from fgrecon.perception.keypoints.decode import (
     peak,
     softmax,
 )
-from fgrecon.perception.keypoints.layout import PATCH, SETTINGS, KNetLayout, KNetSettings, RefineLayout, RefineSettings
+from fgrecon.perception.keypoints.layout import (
+    KINDS,
+    PATCH,
+    SETTINGS,
+    KNetLayout,
+    KNetSettings,
+    RefineLayout,
+    RefineSettings,
+)
 from fgrecon.perception.keypoints.network_file import WITHOUT_STREET, check_arrays, load_weights, shipped
 from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, threads_of_torch
@@ -65,6 +73,7 @@ class CascadeDetection(Detection):
             low ones.
         azimuth: (A,) probability of each direction, as in `Detection`.
         visible: (K,) probability of each keypoint to be visible, wherever it is.
+        kinds: Probability of each kind of vehicle, by name, as in `Detection`.
         mass: (K,) share of the likelihood near the position: how sure KNet's map is.
         crop: The part of the image that the network saw.
         likelihood: (K, H, W) likelihood maps over the crop, or None where they were not asked for.
@@ -194,7 +203,7 @@ class KeypointCascade:
         size = self._settings.crop
         crops = [crop_of(box, size) for box in boxes]
         pixels = np.stack([extract(image, crop) for image, crop in zip(images, crops, strict=True)])
-        likelihood, visible, azimuth = self.mirror_average(pixels) if self.mirror else self.forward(pixels)
+        likelihood, visible, azimuth, kinds = self.mirror_average(pixels) if self.mirror else self.forward(pixels)
         decoded = decode(likelihood, size / likelihood.shape[-1], REACH * size / MARGIN)
         confidence = self.calibration.confidence(visible, decoded.mass)
         azimuth = self.calibration.direction(azimuth)
@@ -209,7 +218,9 @@ class KeypointCascade:
             )
             visibility = 0.5 * (1.0 + np.tanh(0.5 * visible[row]))
             kept = likelihood[row] if maps else None
-            detections.append(CascadeDetection(observation, directions, visibility, decoded.mass[row], crop, kept))
+            named = None if kinds is None else dict(zip(KINDS, kinds[row].tolist(), strict=False))
+            crop_seen = (decoded.mass[row], crop, kept)
+            detections.append(CascadeDetection(observation, directions, visibility, *crop_seen, kinds=named))
         return detections
 
     def _refine(
@@ -229,22 +240,26 @@ class KeypointCascade:
         pixels, covariance = peak(joint)
         return Decoded((pixels + origin + 0.5) / ratio - 0.5, covariance / ratio**2, first.mass)
 
-    def mirror_average(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array]:
+    def mirror_average(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array, Array | None]:
         """`forward` on the crops and their mirror images, averaged; in these left and right change places."""
         count = len(crops)
-        maps, visible, azimuth = self.forward(np.concatenate([crops, crops[:, :, ::-1]]))
+        maps, visible, azimuth, kinds = self.forward(np.concatenate([crops, crops[:, :, ::-1]]))
         partner = self._partner
         mirrored = np.concatenate([azimuth[count:, :1], azimuth[count:, :0:-1]], axis=1)
         return (
             (maps[:count] + maps[count:][:, partner][..., ::-1]) / 2,
             (visible[:count] + visible[count:][:, partner]) / 2,
             (azimuth[:count] + mirrored) / 2,
+            None if kinds is None else (kinds[:count] + kinds[count:]) / 2,
         )
 
-    def forward(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array]:
-        """Likelihood maps (B, K, H, W), visibility logits (B, K) and directions (B, A) of crops (B, S, S, 3)."""
-        likelihood, visible, azimuth = (array.astype(np.float64) for array in self._find(crops))
-        return likelihood, visible, softmax(azimuth)
+    def forward(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array, Array | None]:
+        """Likelihood maps (B, K, H, W), visibility logits (B, K), directions (B, A), kinds (B, N) of crops.
+
+        Crops are (B, S, S, 3); kinds are None where the network does not tell them.
+        """
+        likelihood, visible, azimuth, *kind = (array.astype(np.float64) for array in self._find(crops))
+        return likelihood, visible, softmax(azimuth), softmax(kind[0]) if kind else None
 
 
 def _of_file(path: Path, kind: type[S], sizes: Mapping[str, int]) -> S:

@@ -13,6 +13,9 @@ from fgrecon.core.errors import InvalidInputError
 AZIMUTH_BINS = 36
 """Directions that the azimuth output tells apart: bin b is centred at 10 b degrees."""
 
+KINDS = ("car", "van", "lorry")
+"""Kinds of vehicles that networks with an output for them tell apart, in its order."""
+
 STRIDE = 2
 """Pixels of the crop per cell of the likelihood maps."""
 
@@ -48,15 +51,17 @@ class KNetSettings:
         keypoints: Number K of keypoints.
         crop: Side S of the square crop in pixels, a multiple of 32.
         width: Channels of the pyramid.
+        kinds: Number of kinds of vehicles that it tells apart, the first of `KINDS`; 0 where it does not.
     """
 
     keypoints: int = 14
     crop: int = 96
     width: int = 64
+    kinds: int = 0
 
     def to_dict(self) -> dict[str, int]:
-        """Plain numbers for a file."""
-        return asdict(self)
+        """Plain numbers for a file, which has none for what the network lacks."""
+        return {name: value for name, value in asdict(self).items() if value}
 
 
 @dataclass(frozen=True)
@@ -185,10 +190,12 @@ class KNetLayout:
         """Of a network of these sizes.
 
         Raises:
-            InvalidInputError: The crop is not a multiple of 32.
+            InvalidInputError: The crop is not a multiple of 32, or there are more kinds than have names.
         """
         if settings.crop % 32 or settings.crop < 32:
             raise InvalidInputError("knet.crop", settings.crop, "Give a multiple of 32.")
+        if settings.kinds > len(KINDS):
+            raise InvalidInputError("knet.kinds", settings.kinds, f"Give at most {len(KINDS)}: {', '.join(KINDS)}.")
         stages, channels = [], _STEM
         for stage, (repeats, kernel, stride, expansion, outputs) in enumerate(_STAGES):
             blocks = []
@@ -200,6 +207,8 @@ class KNetLayout:
         width, count = settings.width, settings.keypoints
         others: Shapes = {"name": (count, width), "visible": (count, width), "bias": (count,)}
         linear = {"context": (width, channels), "azimuth": (AZIMUTH_BINS, channels), "see": (width, 2 * width)}
+        if settings.kinds:
+            linear["kind"] = (settings.kinds, channels)
         for name, shape in linear.items():
             others |= {f"{name}.weight": shape, f"{name}.bias": shape[:1]}
         return cls(

@@ -1,6 +1,6 @@
 """What the networks compute, written once for every runtime: PyTorch computes it, ONNX Runtime gets a graph of it.
 
-image (3, S, S) -- EfficientNet-lite0 up to stride 32 --+-- mean -- azimuth: logits over directions
+image (3, S, S) -- EfficientNet-lite0 up to stride 32 --+-- mean -- azimuth, kind: logits over directions, kinds
                     | 4    | 8    | 16    | 32          |
                     +------+------+-------+--> feature pyramid, top down, to stride 4
                                                |
@@ -65,8 +65,11 @@ class Operations(Protocol):
         """A linear layer over the last axis, by the name of its arrays."""
 
 
-def knet(do: Operations, layout: KNetLayout, crops: Any) -> tuple[Any, Any, Any]:
-    """Likelihoods (B, K, S / 2, S / 2), logits of visibility (B, K) and of direction (B, 36) of crops (B, 3, S, S)."""
+def knet(do: Operations, layout: KNetLayout, crops: Any) -> tuple[Any, ...]:
+    """Likelihoods (B, K, S / 2, S / 2), logits of visibility (B, K) and of direction (B, 36) of crops (B, 3, S, S).
+
+    And logits of the vehicle's kind (B, N) where the network tells N of them apart.
+    """
     x = _active(do, do.scaled(crops), layout.stem)
     levels = []
     for stage in layout.stages:
@@ -83,7 +86,8 @@ def knet(do: Operations, layout: KNetLayout, crops: Any) -> tuple[Any, Any, Any]
     maps = do.shuffled(do.conv(features, layout.head))
     likelihood = do.likelihood(maps, settings.keypoints, settings.crop // 2)
     local = do.gathered(likelihood, features, settings.keypoints, settings.width)
-    return likelihood, do.visibility(local, pooled), do.linear(pooled, "azimuth")
+    kind = (do.linear(pooled, "kind"),) if settings.kinds else ()
+    return likelihood, do.visibility(local, pooled), do.linear(pooled, "azimuth"), *kind
 
 
 def refinement(do: Operations, layout: RefineLayout, patches: Any, cells: int) -> Any:

@@ -117,7 +117,7 @@ def knet_on_onnx(layout: KNetLayout, arrays: Mapping[str, Array], threads: int) 
     """KNet on crops (B, S, S, 3) of bytes, by its arrays as `KNetLayout` names them: see `networks.knet`."""
     graph, side = _Graph(arrays), layout.settings.crop
     outputs = knet(graph, layout, graph.node("Transpose", "crops", perm=[0, 3, 1, 2]))
-    results = dict(zip(("likelihood", "visible", "azimuth"), outputs, strict=True))
+    results = dict(zip(("likelihood", "visible", "azimuth", "kind"), outputs, strict=False))
     return open_session(graph.model("crops", ("count", side, side, 3), results), threads)
 
 

@@ -6,7 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from time import perf_counter
@@ -31,6 +31,7 @@ from fgrecon_research.annotation.unboxed import Unboxed
 from fgrecon_research.io.coco_keypoints import VehicleLabel, VehicleLabels, write_coco_keypoints
 from fgrecon_research.training.keypoints.posed_cars import Progress
 
+_LEARNT = "Car", "Van", "Truck"  # of the last the direction and the kind
 _DRAWN = 24  # vehicles of a picture, at most
 _TERMS = (
     "The images are under the terms of their owners. The keypoints come from a network that has learnt from images of "
@@ -95,7 +96,8 @@ def label_street(drives: Sequence[Path], network: Path, out: Path, watch: Progre
     """
     prior = load_prior("car14")
     detector = KeypointCascade(network)
-    done = label_drives([read_images(folder.absolute()) for folder in drives], detector, prior, watch)
+    selection = replace(Selection(), kinds=_LEARNT)
+    done = label_drives([read_images(folder.absolute()) for folder in drives], detector, prior, watch, selection)
     labels = labels_of(done, prior, detector.provenance)
     if not labels.vehicles:
         fix = "Give drives with labelled 3D boxes of cars."

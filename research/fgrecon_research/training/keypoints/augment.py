@@ -46,6 +46,7 @@ class Sample:
     keypoints: Array  # (K, 2) pixels of the crop; NaN where unknown
     visible: Array  # (K,) probability that each can be seen
     azimuth: float  # as in `LabelledView`
+    kind: int  # likewise
 
 
 Another = Callable[[float | None], LabelledView]
@@ -147,7 +148,7 @@ class Street:
         visible[~inside | (cover[row, column] > 127)] = 0.0
         crop = canvas.copy() if untouched else self._degrade(canvas, rng)
         crop[outside] = FILL  # what the camera does to its image does not happen beyond it
-        return Sample(crop, keypoints, visible, view.azimuth)
+        return Sample(crop, keypoints, visible, view.azimuth, view.kind)
 
     def _placement(
         self, view: LabelledView, rng: np.random.Generator

@@ -69,10 +69,11 @@ class Photographs(Views):
     keypoints: Array  # (2 M, K, 2) labels in prepared pixels; NaN where unknown
     visible: Array  # (2 M, K) probability that each keypoint can be seen
     azimuth: Array  # (2 M,) direction from the car to the camera, radians
+    kinds: NDArray[np.int64]  # (2 M,) as in `LabelledView`
 
     @classmethod
-    def load(cls, folder: Path, labels: Labels, azimuth: Array) -> Photographs:
-        """What `prepare_photographs` wrote, with labels in pixels of the files."""
+    def load(cls, folder: Path, labels: Labels, cars: Sequence[PosedCar]) -> Photographs:
+        """What `prepare_photographs` wrote, with labels in pixels of the files and the poses that belong to them."""
         images, masks, sizes, scales = (np.load(folder / name, mmap_mode="r") for name in _FILES)
         keypoints = (labels.keypoints + 0.5) * scales[:, None, None] - 0.5
         with np.load(folder / _DISTANT, allow_pickle=False) as far:
@@ -86,7 +87,8 @@ class Photographs(Views):
             np.asarray(scales),
             np.concatenate([keypoints, moved]),
             np.concatenate([labels.visible, seen]),
-            np.concatenate([azimuth, azimuth]),
+            np.array(2 * [car.azimuth for car in cars]),
+            np.array(2 * [car.kind for car in cars]),
         )
 
     def with_distant(self, chosen: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -103,6 +105,7 @@ class Photographs(Views):
             self.keypoints[index],
             self.visible[index],
             float(self.azimuth[index]),
+            kind=int(self.kinds[index]),
         )
 
 

@@ -23,6 +23,12 @@ Array = NDArray[np.float64]
 
 Pixels = NDArray[np.uint8]
 
+UNKNOWN_KIND = -1
+"""In the place of a kind's number."""
+
+_AS_TALL = 1.15
+"""A car whose cabin is raised by more is of no kind that anybody could name."""
+
 
 @dataclass(frozen=True)
 class LabelledView:
@@ -35,6 +41,7 @@ class LabelledView:
     azimuth: float  # direction from the car to the camera, radians; 0 ahead, pi / 2 to its left
     # (4,) box of the car x1, y1, x2, y2 in pixels, where the image shows more than the car; else None
     within: Array | None = None
+    kind: int = UNKNOWN_KIND  # number of its kind in `fgrecon.perception.keypoints.layout.KINDS`
 
     @property
     def box(self) -> Array:
@@ -50,7 +57,7 @@ class LabelledView:
         if within is not None:
             x1, y1, x2, y2 = within
             within = np.array([self.image.shape[1] - 1.0 - x2, y1, self.image.shape[1] - 1.0 - x1, y2])
-        return LabelledView(image, mask, flipped, self.visible[partner], -self.azimuth, within)
+        return LabelledView(image, mask, flipped, self.visible[partner], -self.azimuth, within, self.kind)
 
 
 Field = NDArray[np.float32]
@@ -173,5 +180,10 @@ def raise_cabin(view: LabelledView, belt: tuple[int, ...], factor: float) -> Lab
     mask = cv2.remap(view.mask, column, taken, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     within = None if view.within is None else np.array([x1, y1, x2, y2 + by])
     return replace(
-        view, image=np.asarray(image), mask=np.asarray(mask), keypoints=moved + np.array([0.0, by]), within=within
+        view,
+        image=np.asarray(image),
+        mask=np.asarray(mask),
+        keypoints=moved + np.array([0.0, by]),
+        within=within,
+        kind=view.kind if factor <= _AS_TALL else UNKNOWN_KIND,
     )

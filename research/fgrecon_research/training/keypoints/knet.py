@@ -33,6 +33,7 @@ class KNetOutput:
     maps: Any  # (B, K, S / 2, S / 2); the softmax over all cells is the distribution of the keypoint's position
     visible: Any  # (B, K)
     azimuth: Any  # (B, 36)
+    kind: Any  # (B, N) of vehicle, or None where the network does not tell it
 
 
 class _Same(nn.Module):  # type: ignore[misc]
@@ -99,6 +100,7 @@ class KNet(nn.Module):  # type: ignore[misc]
         width, channels = layout.others["context.weight"]
         self.context = nn.Linear(channels, width)
         self.azimuth = nn.Linear(channels, AZIMUTH_BINS)
+        self.kind = nn.Linear(channels, settings.kinds) if settings.kinds else None
         self.see = nn.Linear(2 * width, width)
         self.name = nn.Parameter(torch.zeros(settings.keypoints, width))
         self.visible = nn.Parameter(torch.randn(settings.keypoints, width) * 0.1)
@@ -131,7 +133,8 @@ class KNet(nn.Module):  # type: ignore[misc]
         context = self.context(pooled)[:, None].expand_as(local).float()
         seen = functional.relu(self.see(torch.cat([local, context], dim=2)) + self.name)
         visible = (seen * self.visible).sum(dim=2) + self.bias
-        return KNetOutput(maps, visible, self.azimuth(pooled))
+        kind = None if self.kind is None else self.kind(pooled)
+        return KNetOutput(maps, visible, self.azimuth(pooled), kind)
 
 
 def load_imagenet(network: KNet, weights: dict[str, Any]) -> None:

@@ -251,7 +251,7 @@ def open_photographs(
             outlined = zip(source.cars, labelling.outlined, strict=True)
             drawn = [car.silhouette(silhouettes) if used else None for car, used in outlined]
         prepare_photographs(labelling.cars, fits, source.prior, folder, drawn, progress)
-    return Photographs.load(folder, labelling.labels, np.array([car.azimuth for car in labelling.cars]))
+    return Photographs.load(folder, labelling.labels, labelling.cars)
 
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:

@@ -14,7 +14,7 @@ HIDDEN_WEIGHT = 0.25
 """How much the place of a hidden keypoint counts beside a visible one's."""
 
 _AZIMUTH_SIGMA = 8.0  # degrees: about three times the spread of the annotated azimuths
-_SHARES = (1.0, 0.5, 0.3)  # of maps, visibility and azimuth
+_SHARES = (1.0, 0.5, 0.3, 0.2)  # of maps, visibility, azimuth and kind
 
 
 def gaussian_maps(points: Any, side: int, stride: float, sigma: float) -> Any:
@@ -36,13 +36,14 @@ def map_loss(maps: Any, points: Any, weight: Any, stride: float, sigma: float) -
     return (entropy * weight).sum() / weight.sum().clamp(min=1.0)
 
 
-def knet_loss(output: KNetOutput, points: Any, visible: Any, azimuth: Any, sigma: float) -> dict[str, Any]:
+def knet_loss(output: KNetOutput, points: Any, visible: Any, azimuth: Any, kind: Any, sigma: float) -> dict[str, Any]:
     """The parts of KNet's loss, and their weighted sum as `total`.
 
     Args:
         points: (B, K, 2) pixels of the crop; NaN where unknown: these keypoints do not count.
         visible: (B, K) probability of being seen.
         azimuth: (B,) radians.
+        kind: (B,) number of the vehicle's kind; -1 where it is unknown: these do not count.
         sigma: Standard deviation of the targets, pixels.
     """
     size = output.maps.shape[-1] * STRIDE
@@ -56,4 +57,9 @@ def knet_loss(output: KNetOutput, points: Any, visible: Any, azimuth: Any, sigma
     closeness = (torch.cos(azimuth[:, None] - centres) - 1.0) / torch.deg2rad(torch.tensor(_AZIMUTH_SIGMA)) ** 2
     turn = functional.cross_entropy(output.azimuth.float(), torch.softmax(closeness, dim=1))
     total = _SHARES[0] * maps + _SHARES[1] * seen + _SHARES[2] * turn
-    return {"total": total, "maps": maps, "visible": seen, "azimuth": turn}
+    parts = {"maps": maps, "visible": seen, "azimuth": turn}
+    if output.kind is not None:
+        named = functional.cross_entropy(output.kind.float(), kind, ignore_index=-1, reduction="sum")
+        parts["kind"] = named / (kind >= 0).sum().clamp(min=1)
+        total = total + _SHARES[3] * parts["kind"]
+    return {"total": total, **parts}

@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.io.json_fields import Fields, read_json
+from fgrecon.perception.keypoints.layout import KINDS
+from fgrecon_research.training.keypoints.deform import UNKNOWN_KIND
 
 Progress = Callable[[Sequence[Any], str], Iterable[Any]]
 """Goes through the items of a loop and shows, under a description, how many are done."""
@@ -43,6 +45,14 @@ class PosedCar:
     def shape(self) -> str:
         """Name of its shape: photographs with the same name show nearly the same shape."""
         return f"{self.cad_id} {self.name}".rstrip()
+
+    @property
+    def kind(self) -> int:
+        """Number of its kind (`KINDS`), by its name; unknown for what is between two kinds: minivans and pickups."""
+        words = set(self.name.split())
+        if not words or words & {"Minivan", "Cab", "SuperCab", "Pickup"}:
+            return UNKNOWN_KIND
+        return KINDS.index("van" if "Van" in words else "car")
 
     @property
     def box(self) -> NDArray[np.float64]:

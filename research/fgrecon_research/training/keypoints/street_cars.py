@@ -16,9 +16,10 @@ from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
 from fgrecon.io.integrity import MADE_AGAIN
 from fgrecon.perception.keypoints.crops import Crop, extract
+from fgrecon.perception.keypoints.layout import KINDS
 from fgrecon_research.io.coco_keypoints import read_coco_keypoints
 from fgrecon_research.training.keypoints.dataset import SIDE, Photographs
-from fgrecon_research.training.keypoints.deform import LabelledView
+from fgrecon_research.training.keypoints.deform import UNKNOWN_KIND, LabelledView
 from fgrecon_research.training.keypoints.posed_cars import Progress, no_progress
 from fgrecon_research.training.keypoints.views import Together, TrainingSet, Views, azimuth_weights
 
@@ -27,7 +28,9 @@ _FILES = "images.npy", "masks.npy"
 LAST = "cars.npz"
 """Name of the file that is written last: where it is, all are."""
 _EVEN = 0.7, 6.0  # how far directions are evened out, as for `azimuth_weights`
-_VAN = 1.5  # vans are rare, and look less alike than cars
+_OTHER = 1.5  # vans and lorries are rare, and look less alike than cars
+_KINDS = {"Car": KINDS.index("car"), "Van": KINDS.index("van"), "Truck": KINDS.index("lorry")}
+_WITHOUT_KEYPOINTS = "Truck"  # a car's keypoints are nowhere on it: it teaches direction and kind
 
 Array = NDArray[np.float64]
 
@@ -71,6 +74,7 @@ class StreetCars(Views):
             self.visible[index],
             float(self.azimuth[index]),
             self.boxes[index],
+            _KINDS.get(str(self.kinds[index]), UNKNOWN_KIND),
         )
 
     def weights(self, chosen: NDArray[np.intp]) -> Array:
@@ -78,7 +82,7 @@ class StreetCars(Views):
         names = np.char.add(np.char.add(self.drives[chosen], " "), self.tracks[chosen].astype(str))
         _, which, count = np.unique(names, return_inverse=True, return_counts=True)
         weight = azimuth_weights(self.azimuth, chosen, *_EVEN) / np.sqrt(count[which])
-        weight = weight * np.where(self.kinds[chosen] == "Van", _VAN, 1.0)
+        weight = weight * np.where(self.kinds[chosen] == "Car", 1.0, _OTHER)
         probability: Array = weight / weight.sum()
         return probability
 
@@ -168,7 +172,8 @@ def prepare_street_cars(file: Path, folder: Path, progress: Progress = no_progre
         images[row] = extract(image, crop)
         masks[row] = _filled([crop.from_image(polygon) for polygon in car.silhouette])
         boxes.append(crop.from_image(car.box.reshape(2, 2)).ravel())
-        keypoints.append(crop.from_image(car.keypoints))
+        known = car.kind != _WITHOUT_KEYPOINTS
+        keypoints.append(crop.from_image(car.keypoints) if known else np.full(car.keypoints.shape, np.nan))
     images.flush()
     masks.flush()
     table = io.BytesIO()

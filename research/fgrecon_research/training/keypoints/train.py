@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from fgrecon.perception.keypoints.crops import MARGIN
 from fgrecon.perception.keypoints.detect import REACH
-from fgrecon.perception.keypoints.layout import STRIDE, KNetSettings
+from fgrecon.perception.keypoints.layout import KINDS, STRIDE, KNetSettings
 from fgrecon_research.training.keypoints.augment import Sample, Street
 from fgrecon_research.training.keypoints.dataset import Photographs
 from fgrecon_research.training.keypoints.knet import KNet, load_imagenet
@@ -33,7 +33,7 @@ class Training(Schedule):
 
     sigma: float = 2.5  # standard deviation of the target Gaussians, pixels of the crop
     workers: int = 1  # processes that make samples; 0 makes them in this one
-    network: KNetSettings = field(default_factory=KNetSettings)  # sizes
+    network: KNetSettings = field(default_factory=lambda: KNetSettings(kinds=len(KINDS)))  # sizes
     street: Street = field(default_factory=Street)  # augmentation
 
 
@@ -46,7 +46,7 @@ class _Samples(Dataset):  # type: ignore[misc]
     def __getitem__(self, number: int) -> tuple[Any, ...]:
         drawn = self.learning.draw(self.how.street, self.partner, (self.how.seed, int(number)))
         numbers = (drawn.keypoints, drawn.visible, np.array(drawn.azimuth))
-        return (torch.from_numpy(drawn.crop), *(torch.from_numpy(n.astype(np.float32)) for n in numbers))
+        return (torch.from_numpy(drawn.crop), *(torch.from_numpy(n.astype(np.float32)) for n in numbers), drawn.kind)
 
 
 def train_knet(
@@ -83,11 +83,11 @@ def train_knet(
     trainer = Trainer(network, _groups(network), how, checkpoint, how.network.to_dict(), report, score)
 
     def losses(batch: Sequence[Any]) -> dict[str, Any]:
-        crops, points, visible, azimuth = (part.to(device) for part in batch)
+        crops, points, visible, azimuth, kind = (part.to(device) for part in batch)
         crops = crops.permute(0, 3, 1, 2).float()
         with torch.autocast(device, dtype=torch.bfloat16, enabled=device != "cpu"):
             output = network(crops)
-        return knet_loss(output, points, visible, azimuth, how.sigma)
+        return knet_loss(output, points, visible, azimuth, kind, how.sigma)
 
     samples = _Samples(learning, partner, how)
     return trainer.run(_batches(samples, how, trainer.done), losses, clip=_CLIP, until=until)
