@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
@@ -28,6 +29,7 @@ _FILES = "images.npy", "masks.npy"
 LAST = "cars.npz"
 """Name of the file that is written last: where it is, all are."""
 _EVEN = 0.7, 6.0  # how far directions are evened out, as for `azimuth_weights`
+_REAR = 1.3  # rear views are where networks err, and mostly what a camera in traffic sees
 _OTHER = 1.5  # vans and lorries are rare, and look less alike than cars
 _KINDS = {"Car": KINDS.index("car"), "Van": KINDS.index("van"), "Truck": KINDS.index("lorry")}
 _WITHOUT_KEYPOINTS = "Truck"  # a car's keypoints are nowhere on it: it teaches direction and kind
@@ -78,10 +80,11 @@ class StreetCars(Views):
         )
 
     def weights(self, chosen: NDArray[np.intp]) -> Array:
-        """Probabilities of drawing each: directions about evened out, and a long track not as often as it is long."""
+        """Probabilities of drawing each: directions about evened out but for more rear views, and a long track not as often as it is long."""
         names = np.char.add(np.char.add(self.drives[chosen], " "), self.tracks[chosen].astype(str))
         _, which, count = np.unique(names, return_inverse=True, return_counts=True)
         weight = azimuth_weights(self.azimuth, chosen, *_EVEN) / np.sqrt(count[which])
+        weight = weight * np.where(np.abs(wrap_angle(self.azimuth[chosen])) > np.pi / 2.0, _REAR, 1.0)
         weight = weight * np.where(self.kinds[chosen] == "Car", 1.0, _OTHER)
         probability: Array = weight / weight.sum()
         return probability
