@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fgrecon.core.detection import Detection, at_direction
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 
 SEEN = Observation(np.array([[1.0, 2.0], [30.0, 4.0], [5.0, 60.0]]), np.ones(3))
@@ -44,3 +45,10 @@ def test_between_two_directions_lies_what_is_between_their_values():
     values, width = np.array([1.0, 5.0, 2.0, 4.0]), np.pi / 2.0
     found = at_direction(values, width * np.array([0.0, 1.0, 1.5, 3.5, -0.5, -1e-20, 4.25]))
     np.testing.assert_allclose(found, [1.0, 5.0, 3.5, 2.5, 2.5, 1.0, 2.0])
+
+
+@pytest.mark.parametrize("kinds", [{"car": 0.5, "van": 0.4}, {"car": 1.2, "van": -0.2}, {"car": float("nan")}])
+def test_kinds_are_probabilities(kinds):
+    assert Detection(SEEN, kinds={"car": 0.25, "van": 0.75}).kinds == {"car": 0.25, "van": 0.75}
+    with pytest.raises(InvalidInputError, match="kinds"):
+        Detection(SEEN, kinds=kinds)

@@ -80,7 +80,10 @@ class StreetCars(Views):
         )
 
     def weights(self, chosen: NDArray[np.intp]) -> Array:
-        """Probabilities of drawing each: directions about evened out but for more rear views, and a long track not as often as it is long."""
+        """Probabilities of drawing each.
+
+        Directions are about evened out but for more rear views, and a long track comes not as often as it is long.
+        """
         names = np.char.add(np.char.add(self.drives[chosen], " "), self.tracks[chosen].astype(str))
         _, which, count = np.unique(names, return_inverse=True, return_counts=True)
         weight = azimuth_weights(self.azimuth, chosen, *_EVEN) / np.sqrt(count[which])

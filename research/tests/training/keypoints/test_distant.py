@@ -110,19 +110,18 @@ def test_prepared_photographs_have_distant_ones_whose_labels_follow(prior, tmp_p
         write_png(drawn[-1], np.repeat(mask[..., None], 3, axis=2))
     prepare_photographs(cars, [FIT] * 3, prior, tmp_path / "p", [drawn[0], drawn[1], None])
     labels = project_labels(prior, FIT, cars)
-    azimuth = np.array([car.azimuth for car in cars])
-    photographs = Photographs.load(tmp_path / "p", labels, azimuth)
+    photographs = Photographs.load(tmp_path / "p", labels, cars)
     rows = photographs.with_distant(np.arange(3))
     assert rows.tolist() == [0, 1, 2, 3, 4]  # nothing tells where the third car is in its photograph
     view = photographs.view(4)
-    assert view.azimuth == pytest.approx(azimuth[1])
+    assert view.azimuth == pytest.approx(cars[1].azimuth)
     assert max(view.image.shape) == 192
     shown = view.visible > 0.5
     at = np.rint(view.keypoints[shown]).astype(int)
     around = cv2.dilate(view.mask, np.ones((11, 11), dtype=np.uint8))  # corners lie a little beside the outline
     assert (around[at[:, 1], at[:, 0]] > 127).all()
     beside = Labels(labels.keypoints + np.array([3.0, -2.0]), labels.visible)
-    moved = Photographs.load(tmp_path / "p", beside, azimuth)
+    moved = Photographs.load(tmp_path / "p", beside, cars)
     step = (moved.keypoints - photographs.keypoints)[4]
     np.testing.assert_allclose(step, np.broadcast_to(step[0], step.shape), atol=1e-9)
     np.testing.assert_allclose(step[0, 0] / step[0, 1], -1.5)

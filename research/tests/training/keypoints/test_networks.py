@@ -1,5 +1,6 @@
 """KNet, its loss, training and weights, on made-up data: shapes, determinism, resumption; no quality."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from fgrecon_research.training.keypoints.views import TrainingSet, azimuth_weigh
 
 MIRROR = load_category("car14").mirror
 SMALL = KNetSettings(crop=32, width=8)
+UNKNOWN = torch.tensor([-1])
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +40,7 @@ def photographs(tmp_path_factory):
         write_png(car.image, rng.integers(0, 255, (*car.size[::-1], 3)).astype(np.uint8))
     fit = fit_shape(prior, cars)
     prepare_photographs(cars, [fit] * 4, prior, folder / "prepared")
-    azimuth = np.array([car.azimuth for car in cars])
-    return Photographs.load(folder / "prepared", project_labels(prior, fit, cars), azimuth), cars
+    return Photographs.load(folder / "prepared", project_labels(prior, fit, cars), cars), cars
 
 
 def test_prepared_photographs_keep_labels_and_masks_in_place(photographs):
@@ -118,11 +119,11 @@ def test_hidden_and_absent_points_count_less_and_not_at_all():
     with torch.no_grad():
         output = KNet(SMALL).eval()(torch.randn(1, 3, 32, 32) * 50 + 127)
     points, azimuth = torch.full((1, 14, 2), 12.0), torch.zeros(1)
-    loss = knet_loss(output, points, torch.ones(1, 14), azimuth, 2.0)
+    loss = knet_loss(output, points, torch.ones(1, 14), azimuth, UNKNOWN, 2.0)
     assert float(loss["total"]) > 0
     gone = points.clone()
     gone[0, :, 0] = 500.0
-    assert float(knet_loss(output, gone, torch.zeros(1, 14), azimuth, 2.0)["maps"]) == 0.0
+    assert float(knet_loss(output, gone, torch.zeros(1, 14), azimuth, UNKNOWN, 2.0)["maps"]) == 0.0
 
 
 def test_keypoints_of_unknown_place_teach_nothing():
@@ -134,12 +135,27 @@ def test_keypoints_of_unknown_place_teach_nothing():
     slopes = []
     for visible in (torch.ones(1, 14), torch.cat([torch.ones(1, 12), torch.zeros(1, 2)], dim=1)):
         network.zero_grad()
-        loss = knet_loss(network(crops), points, visible, azimuth, 2.0)
+        loss = knet_loss(network(crops), points, visible, azimuth, UNKNOWN, 2.0)
         loss["total"].backward()
         slopes.append([p.grad.clone() for p in network.parameters() if p.grad is not None])
     assert all(torch.isfinite(slope).all() for slope in slopes[0])
     assert all(torch.equal(a, b) for a, b in zip(*slopes, strict=True))
     assert slopes[0][-1].abs().max() > 0
+
+
+def test_kinds_are_learnt_where_they_are_known():
+    torch.manual_seed(0)
+    network = KNet(replace(SMALL, kinds=3)).eval()
+    crops, azimuth = torch.randn(2, 3, 32, 32) * 50 + 127, torch.zeros(2)
+    points, visible = torch.full((2, 14, 2), 12.0), torch.ones(2, 14)
+    with torch.no_grad():
+        output = network(crops)
+    expected = -torch.log_softmax(output.kind, dim=1)[1, 2]
+    found = knet_loss(output, points, visible, azimuth, torch.tensor([-1, 2]), 2.0)
+    torch.testing.assert_close(found["kind"], expected)
+    none = knet_loss(output, points, visible, azimuth, torch.tensor([-1, -1]), 2.0)
+    assert float(none["kind"]) == 0.0
+    assert float(found["total"] - none["total"]) == pytest.approx(0.2 * float(expected), rel=1e-4)
 
 
 def test_an_interrupted_training_ends_like_an_uninterrupted_one(photographs, tmp_path):

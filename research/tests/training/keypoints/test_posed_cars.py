@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.perception.keypoints.layout import KINDS
+from fgrecon_research.training.keypoints.deform import UNKNOWN_KIND
 from fgrecon_research.training.keypoints.posed_cars import groups, read_posed_cars, read_validation_ids
 
 ENTRY = {
@@ -34,6 +36,23 @@ def test_fields_and_directions(tmp_path):
     assert car.name == ""
     (named,) = read_posed_cars(written(tmp_path, [{**ENTRY, "model_name": "Audi TTS Coupe 2012"}]))
     assert named.name == "Audi TTS Coupe 2012"
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("Audi TTS Coupe 2012", "car"),
+        ("GMC Savana Van 2012", "van"),
+        ("Dodge Sprinter Cargo Van 2009", "van"),
+        ("Honda Odyssey Minivan 2012", None),
+        ("Ram C/V Cargo Van Minivan 2012", None),
+        ("Ford Ranger SuperCab 2011", None),
+        ("", None),
+    ],
+)
+def test_kinds_by_the_name_of_the_model(name, kind, tmp_path):
+    (car,) = read_posed_cars(written(tmp_path, [{**ENTRY, "model_name": name}]))
+    assert car.kind == (UNKNOWN_KIND if kind is None else KINDS.index(kind))
 
 
 def test_a_dolly_zoom_keeps_direction_and_size(tmp_path):

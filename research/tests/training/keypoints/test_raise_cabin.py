@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon_research.training.keypoints.augment import Street
-from fgrecon_research.training.keypoints.deform import LabelledView, belt_of, raise_cabin
+from fgrecon_research.training.keypoints.deform import UNKNOWN_KIND, LabelledView, belt_of, raise_cabin
 from research.tests.training.keypoints.test_augment import MIRROR, PLAIN, in_its_street, made_up_view
 
 BELT = (4, 5, 6, 7)
@@ -85,6 +85,13 @@ def test_the_belt_of_a_car_are_its_lamps():
         f"{side}_{lamp}" for side in ("left", "right") for lamp in ("headlight", "taillight")
     }
     assert belt_of(replace(load_category("car14"), faces=()), prior.mean) == ()
+
+
+@pytest.mark.parametrize(("factor", "kind"), [(1.1, 0), (1.6, UNKNOWN_KIND)])
+def test_a_much_higher_car_is_of_no_kind_that_anybody_could_name(factor, kind):
+    view = replace(made_up_view(np.random.default_rng(0)), kind=0)
+    assert raise_cabin(view, BELT, factor).kind == kind
+    assert view.mirrored(MIRROR).kind == 0
 
 
 def test_raised_samples_are_drawn_as_often_as_is_said():

@@ -1,5 +1,6 @@
 """From labelled drives to views that are learnt from: the labels stay on the cars, masks on what is seen of them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,11 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.kitti_drives import read_drive
+from fgrecon.perception.keypoints.layout import KINDS
 from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.labels import silhouette, vehicle_labels
 from fgrecon_research.io.coco_keypoints import write_coco_keypoints
+from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.dataset import SIDE
 from fgrecon_research.training.keypoints.street_cars import StreetCars, StreetShare, prepare_street_cars
 from research.tests.annotation.streets import Car, Told, write_drive
@@ -88,6 +91,27 @@ def test_views_show_the_cars_with_their_labels(cars, annotations):
     assert sorted(set(cars.kinds.tolist())) == ["Car", "Van"]
     assert cars.drives.tolist() == ["street"] * 4
     assert cars.tracks.tolist() == [1, 2, 1, 3]
+
+
+def test_of_lorries_direction_and_kind_are_learnt_and_no_keypoints(annotations, tmp_path):
+    lorry = replace(annotations[0], kind="Truck")
+    labels = vehicle_labels([("street", one) for one in (lorry, annotations[1])], PRIOR.category, {})
+    write_coco_keypoints(tmp_path / "labels.json", labels)
+    prepare_street_cars(tmp_path / "labels.json", tmp_path / "street")
+    cars = StreetCars.load(tmp_path / "street")
+    assert [KINDS[cars.view(i).kind] for i in (0, 1)] == ["lorry", "car"]
+    assert np.isnan(cars.view(0).keypoints).all()
+    assert np.isfinite(cars.view(1).keypoints).any()
+    assert cars.view(0).azimuth == pytest.approx(lorry.azimuth, abs=1e-4)
+    sample = cars.draw(np.array([0]), np.ones(1), Street().shaping(PRIOR), PRIOR.category.mirror, (0, 0))
+    assert sample.kind == KINDS.index("lorry")
+    assert not sample.visible.any()
+
+
+def test_rear_views_are_drawn_more_often_than_fronts(cars):
+    ahead = replace(cars, azimuth=np.array([0.1, 0.1, 3.0, 3.0]), tracks=np.arange(4), kinds=np.array(["Car"] * 4))
+    front, _, rear, _ = ahead.weights(np.arange(4))
+    assert rear == pytest.approx(1.3 * front)
 
 
 def test_beyond_the_image_there_is_nothing_of_a_car(cars):
