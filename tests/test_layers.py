@@ -14,6 +14,7 @@ ROOMS = {
     "io": {"core"},
     "io/keypoints": {"core", "io"},
     "io/cameras": {"core", "io"},
+    "io/sensors": {"core", "io"},
     "solve/vehicle": {"factors", "core"},
     "io/export": {"core", "io", "solve/vehicle"},
     "solve/proposals": {"factors", "core", "solve/vehicle"},
@@ -56,7 +57,7 @@ ROOMS = {
         *("perception/keypoints", "batch", "video", "viz", "calibration"),
     },
     "research": {"core", "simulation"},
-    "research/io": {"core", "io"},
+    "research/io": {"core", "io", "io/sensors"},
     "research/io/annotations": {"core", "io", "io/keypoints"},
     "research/annotation": {
         *("factors", "core", "io", "solve", "solve/vehicle", "solve/proposals", "solve/graph"),

@@ -95,6 +95,9 @@ class VideoBox:
             gives no directions.
         outcomes: What each method found, by its name.
         line: What the whole system found, as a line of KITTI's results; empty where it found nothing.
+        rotation_y: Labelled yaw, radians.
+        size: Labelled length, width and height, metres; None where nobody compares 3D boxes.
+        points: How many points of a LiDAR are inside the labelled 3D box; None where there is no LiDAR.
     """
 
     drive: str
@@ -110,6 +113,9 @@ class VideoBox:
     facing: float | None
     outcomes: Mapping[str, BoxOutcome]
     line: str = ""
+    rotation_y: float = 0.0
+    size: tuple[float, float, float] | None = None
+    points: int | None = None
 
     @property
     def view(self) -> View:
@@ -131,7 +137,7 @@ class VideoBox:
             "view": self.view.value,
             "azimuth_deg": float(np.degrees(self.azimuth)),
             "facing": self.facing,
-        }
+        } | ({} if self.points is None else {"points": self.points})
         rows = []
         for method, found in self.outcomes.items():
             length, width, height = found.size or (None, None, None)

@@ -33,9 +33,6 @@ from fgrecon.video.records import Sighting
 
 Array = NDArray[np.float64]
 
-Rivals = Callable[[Camera, TrackFrame, Array], Mapping[str, BoxOutcome]]
-"""Scores other methods by name, from the camera, the keypoints with their truth, and the labels' offset (3,)."""
-
 
 @dataclass(frozen=True, eq=False)
 class Looked:
@@ -50,6 +47,41 @@ class Looked:
     label: int | None
     score: float
     found: FromImage
+
+
+@dataclass(frozen=True, eq=False)
+class LookedFrame:
+    """The labelled boxes of a frame that count and were looked at, for other methods.
+
+    Attributes:
+        drive: Name of the drive.
+        frame: The frame with its labels.
+        image: (H, W, 3) its pixels.
+        camera: The camera, with the size of the image.
+        setup: What the boxes were reconstructed with.
+        looks: What was found in each.
+    """
+
+    drive: str
+    frame: DriveFrame
+    image: NDArray[np.uint8]
+    camera: Camera
+    setup: Setup
+    looks: tuple[Looked, ...]
+
+    def truth(self, look: Looked) -> GroundTruth:
+        """The labelled place and yaw of a box."""
+        labels = self.frame.objects
+        return GroundTruth(labels.location[look.label], float(labels.rotation_y[look.label]))
+
+    def keypoints(self) -> list[TrackFrame]:
+        """The keypoints of each box with its truth."""
+        name = f"{self.drive}:{self.frame.number}"
+        return [TrackFrame(name, look.found.detection.observation, self.truth(look)) for look in self.looks]
+
+
+Rivals = Callable[[LookedFrame], Sequence[Mapping[str, BoxOutcome]]]
+"""Scores other methods by name, on each labelled box of a frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +105,7 @@ class ScoredFrame:
 
 def no_rivals() -> Rivals:
     """What scores no other method."""
-    return lambda *_: {}
+    return lambda looked: [{} for _ in looked.looks]
 
 
 def looks_at(drive: Drive, setup: Setup) -> list[DriveFrame]:
@@ -166,11 +198,14 @@ class _Worker:
 
 def _score_frame(drive: str, frame: DriveFrame, setup: Setup, rivals: Rivals) -> ScoredFrame:
     image, looks = reconstruct_frame(frame, setup)
+    camera = frame.calibration.camera.with_size_of(image)
+    labelled = LookedFrame(drive, frame, image, camera, setup, tuple(o for o in looks if o.label is not None))
+    others = iter(rivals(labelled))
     boxes, sightings = [], []
     for look in looks:
         track = None
         if look.label is not None:
-            boxes.append(_scored(drive, frame, look.label, look.found, image, rivals))
+            boxes.append(_scored(labelled, look, next(others)))
             track = boxes[-1].track
         seen = look.found.detection.evidence
         assert seen.box is not None
@@ -178,19 +213,16 @@ def _score_frame(drive: str, frame: DriveFrame, setup: Setup, rivals: Rivals) ->
     return ScoredFrame(drive, frame.number, boxes, tuple(sightings), len(wanted(frame)) - len(boxes))
 
 
-def _scored(
-    drive: str, frame: DriveFrame, index: int, one: FromImage, image: NDArray[np.uint8], rivals: Rivals
-) -> VideoBox:
-    """A labelled box with what was found."""
-    labels, offset = frame.objects, frame.calibration.label_offset
-    camera = frame.calibration.camera.with_size_of(image)
-    location, yaw = labels.location[index], float(labels.rotation_y[index])
-    azimuth = labelled_azimuth(yaw, location + offset)
-    truth = TrackFrame(f"{drive}:{frame.number}", one.detection.observation, GroundTruth(location, yaw))
-    outcomes = {SYSTEM: _outcome(one, truth.truth, labels.size[index], offset), **rivals(camera, truth, offset)}
+def _scored(looked: LookedFrame, look: Looked, others: Mapping[str, BoxOutcome]) -> VideoBox:
+    """A labelled box with what was found, and with the outcomes of other methods."""
+    frame, index, one = looked.frame, look.label, look.found
+    assert index is not None
+    labels, offset, truth = frame.objects, frame.calibration.label_offset, looked.truth(look)
+    azimuth = labelled_azimuth(truth.rotation_y, truth.location + offset)
     directions = one.detection.azimuth
+    length, width, height = labels.size[index].tolist()
     return VideoBox(
-        drive=drive,
+        drive=looked.drive,
         frame=frame.number,
         index=index,
         track=int(frame.tracks[index]),
@@ -198,11 +230,13 @@ def _scored(
         truncation=float(labels.truncation[index]),
         occlusion=int(labels.occlusion[index]),
         height=float(labels.box[index, 3] - labels.box[index, 1]),
-        distance=float(np.linalg.norm(location)),
+        distance=float(np.linalg.norm(truth.location)),
         azimuth=azimuth,
         facing=None if directions is None else facing_probability(directions, azimuth),
-        outcomes=outcomes,
+        outcomes={SYSTEM: found_outcome(one, truth, labels.size[index], offset), **others},
         line=_line(one, labels.box[index], offset),
+        rotation_y=truth.rotation_y,
+        size=(length, width, height),
     )
 
 
@@ -212,8 +246,8 @@ def _line(found: FromImage, box: Array, offset: Array) -> str:
     return kitti_text([NamedResult("", found.result, box, offset)])
 
 
-def _outcome(found: FromImage, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:
-    """The whole system's outcome; truth and size (3,) are the label's."""
+def found_outcome(found: FromImage, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:
+    """The outcome of what was found in an image; truth and size (3,) are the label's, in whose frame offset (3,) is."""
     if found.result is None:
         return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, str(found.error))
     return outcome(found.result, truth, size, offset)

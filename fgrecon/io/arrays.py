@@ -77,6 +77,25 @@ def read_arrays(
     return arrays
 
 
+def read_lone_array(content: bytes, name: str, fix: str) -> NDArray[Any]:
+    """The array of an npy file, without pickled content.
+
+    Args:
+        content: The file's bytes.
+        name: What it is called in an error.
+        fix: What to give instead.
+
+    Raises:
+        InvalidInputError: It is none, is damaged, or has pickled content.
+    """
+    try:
+        file = BytesIO(content)
+        shape, fortran, kind, count = _header(file, len(content))
+        return _content(file, kind, count).reshape(shape, order="F" if fortran else "C")
+    except Exception as error:  # numpy promises no kind of error for damaged content
+        raise InvalidInputError(name, f"unreadable: {error}", fix) from error
+
+
 def _header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
     """Shape, order, kind and number of the elements of a member of so many bytes.
 

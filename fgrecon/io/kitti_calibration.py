@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -10,10 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
+from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import read_text
 
 _FOCAL_TOLERANCE = 0.01  # pixels
+_RIGID = 1e-3  # by so much an element of R R^T may be off
+_RECTIFYING = "R0_rect", "R_rect", "R_rect_00"
+_ODOMETRY = "Tr"
+_LIDAR = "Tr_velo_to_cam", "Tr_velo_cam", _ODOMETRY
+_RAW_LIDAR = "calib_velo_to_cam.txt"
 _RECTIFIED_SIZES = {721.5377: (1242, 375), 707.0493: (1224, 370), 718.3351: (1238, 374), 718.856: (1241, 376)}
 
 
@@ -25,10 +32,12 @@ class KittiCalibration:
         camera: The camera; its image's size follows from the focal length, where that is one of KITTI's.
         label_offset: (3,) t in metres: KITTI's labels are in the rectified reference camera, and a labelled point in
             this camera's frame is X + t (about 6 cm for the left colour camera).
+        camera_T_lidar: (4, 4) from the frame of the LiDAR to this camera's; None where the file has no such numbers.
     """
 
     camera: Camera
     label_offset: NDArray[np.float64]
+    camera_T_lidar: NDArray[np.float64] | None = None
 
 
 def rectified_size(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
@@ -58,7 +67,7 @@ def read_calibration(path: Path, projection: str = "P2") -> KittiCalibration:
         InvalidInputError: The file cannot be read, the line is missing or is no projection; names file and line.
     """
     lines = read_text(path, "calib").splitlines()
-    content = {name.strip(): value.split() for name, _, value in (line.partition(":") for line in lines)}
+    content = dict(map(_named, lines))
     raw = f"P_rect_{projection.removeprefix('P'):0>2}"
     line = projection if projection in content or raw not in content else raw
     place = f"{path}: {line}"
@@ -78,7 +87,47 @@ def read_calibration(path: Path, projection: str = "P2") -> KittiCalibration:
         camera = Camera(matrix[:, :3], image_size=size or rectified_size(matrix))
     except InvalidInputError as error:
         raise InvalidInputError(place, error.value, error.fix) from error
-    return KittiCalibration(camera, np.linalg.solve(matrix[:, :3], matrix[:, 3]).astype(np.float64))
+    offset: NDArray[np.float64] = np.linalg.solve(matrix[:, :3], matrix[:, 3]).astype(np.float64)
+    try:
+        lidar = _lidar(path, content, offset)
+    except InvalidInputError:  # who wants the camera alone need not mend what the file says of the LiDAR
+        lidar = None
+    return KittiCalibration(camera, offset, lidar)
+
+
+def _named(line: str) -> tuple[str, list[str]]:
+    """The name of a line and its words; the tracking set has no colon after some names."""
+    name, colon, value = line.partition(":")
+    if colon:
+        return name.strip(), value.split()
+    words = line.split()
+    return (words[0], words[1:]) if words else ("", [])
+
+
+def _lidar(path: Path, content: Mapping[str, list[str]], offset: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """(4, 4) from the LiDAR's frame to that of a camera at an offset (3,) from the rectified one; None without it."""
+    rectified = next((name for name in _RECTIFYING if name in content), None)
+    name = next((name for name in _LIDAR if name in content), None)
+    rotation = np.eye(3)
+    if name != _ODOMETRY and rectified is not None:  # odometry's is of the rectified frame
+        rotation = _numbers(content[rectified], 9, f"{path}: {rectified}", "Give a rotation: nine numbers.").reshape(
+            3, 3
+        )
+    beside = path.parent / _RAW_LIDAR
+    motion = np.eye(4)
+    if name is not None:
+        fix = "Give twelve numbers, [R | t] row by row."
+        motion[:3] = _numbers(content[name], 12, f"{path}: {name}", fix).reshape(3, 4)
+    elif beside.is_file() and path.name != _RAW_LIDAR:
+        parts = dict(map(_named, read_text(beside, "calib").splitlines()))
+        fix = "Give lines R: and T: of nine and three numbers."
+        motion[:3, :3] = _numbers(parts.get("R", []), 9, f"{beside}: R", fix).reshape(3, 3)
+        motion[:3, 3] = _numbers(parts.get("T", []), 3, f"{beside}: T", fix)
+    else:
+        return None
+    motion[:3] = rotation @ motion[:3]
+    motion[:3, 3] += offset
+    return as_rigid(f"{path}: {name or _RAW_LIDAR}", motion, _RIGID)
 
 
 def calibration_beside(image: Path) -> KittiCalibration | None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import BoxOutcome
+from fgrecon.calibration.labelled_frames import LookedFrame
 from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.camera import Camera
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error
@@ -142,12 +143,16 @@ class ScoredRivals:
         """
         self.solvers = {method.name: method.bind(scene) for method in select(names)}
 
-    def __call__(
-        self, camera: Camera, frame: TrackFrame, label_offset: NDArray[np.float64]
-    ) -> Mapping[str, BoxOutcome]:
-        """Score each method on the frame's keypoints."""
-        scored = {name: score_pose(solver, camera, frame, label_offset) for name, solver in self.solvers.items()}
-        return {
-            name: BoxOutcome(one.orientation_error, one.translation_error, None, None, one.failure)
-            for name, one in scored.items()
-        }
+    def __call__(self, looked: LookedFrame) -> list[Mapping[str, BoxOutcome]]:
+        """Score each method on the keypoints of each box."""
+        return [
+            {
+                name: _of_score(score_pose(solver, looked.camera, frame, looked.frame.calibration.label_offset))
+                for name, solver in self.solvers.items()
+            }
+            for frame in looked.keypoints()
+        ]
+
+
+def _of_score(one: FrameScore) -> BoxOutcome:
+    return BoxOutcome(one.orientation_error, one.translation_error, None, None, one.failure)

@@ -14,13 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, SYSTEM, VideoBox, View
+from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, SYSTEM, BoxOutcome, VideoBox, View
+from fgrecon.calibration.matching import MINIMUM_OVERLAP
 from fgrecon.calibration.regions import DIMENSIONS
 from fgrecon.core.coverage import Reliability, reliability
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.serialise import finite
+from fgrecon.io.kitti_files import Objects
 from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
+from fgrecon_research.evaluation.kitti_devkit import Space, overlap
 from fgrecon_research.evaluation.measures import THRESHOLDS
 
 Array = NDArray[np.float64]
@@ -32,7 +35,7 @@ Array = NDArray[np.float64]
 # there are tracks: a mean above them says that covariances are too small, one below that they are too large.
 
 
-_SHARE = 0.95
+_SHARE, _INNER = 0.95, 0.68
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,7 @@ class Consistency:
     high: float
     median: float  # the median over that of the chi-square distribution; 1 where covariances are right
     inside: float  # percent of the errors within their 95 % region
+    within: float  # percent of the errors within their 68 % region
     count: int  # number of estimates
 
 
@@ -58,6 +62,7 @@ def consistency(errors: Sequence[float], dimension: int, tracks: int) -> Consist
         high=high,
         median=float(np.median(errors) / chi2.ppf(0.5, dimension)),
         inside=100.0 * float(np.mean(np.array(errors) <= chi2.ppf(_SHARE, dimension))),
+        within=100.0 * float(np.mean(np.array(errors) <= chi2.ppf(_INNER, dimension))),
         count=len(errors),
     )
 
@@ -66,6 +71,8 @@ FORMAT = "fgrecon.video-images/1"
 _NEXT = 2  # frames: labelled boxes are in every second one at least
 _SIZES = (25.0, 40.0, 60.0, 120.0, np.inf)  # pixels of the box's height
 _DISTANCES = (0.0, 10.0, 20.0, 30.0, 50.0, np.inf)  # metres
+_POINTS = (0.0, 5.0, 20.0, 100.0, 500.0, np.inf)  # of a LiDAR in the labelled box
+_OVERLAPPING = MINIMUM_OVERLAP["Car"]  # in 3D, from which on KITTI takes a box for a car's
 _OCCLUSIONS = {0: "fully visible", 1: "partly occluded", 2: "largely occluded"}
 _UNITS = {
     "mean_degrees": "degrees of yaw error on the full circle; a refused box counts 180",
@@ -77,6 +84,9 @@ _UNITS = {
     "median_metres": "between estimated and labelled origin, over the boxes with a pose",
     "mean_metres": "the same",
     "mean_size_error": "metres, estimated minus labelled length, width and height, over the boxes with a pose",
+    "overlapping": "percent of all boxes whose estimated 3D box shares at least 0.7 of the union with the labelled "
+    "one; null for methods without 3D boxes",
+    "mean_absolute_length_error": "metres, mean of the absolute error of the length, over the boxes with a pose",
     "mean_absolute_size_error": "metres, mean of the absolute errors of length, width and height",
     "jitter_degrees": "mean change of the yaw error from a box to the next one of its track, at most two frames later; "
     "null where no yaw errors are known",
@@ -84,7 +94,8 @@ _UNITS = {
     "median_velocity": "metres per second over the ground, estimated minus labelled; labels within 0.2 s make a line, "
     "and are carried into the world by the camera's estimated motion where that is known",
     "consistency": "normalised squared errors by dimension (NEES): mean, its 95 % bounds for as many draws as tracks, "
-    "median over that of the chi-square distribution, percent within the 95 % region; without heading flips",
+    "median over that of the chi-square distribution, percent within the 95 % and the 68 % region; without heading "
+    "flips",
     "intervals": "of the numbers of the same names",
     "interval": "95 % by bootstrap over tracks; null where there is one track",
     "facing": "probability of the directions within 90 degrees of the labelled one; the bins, of equally many boxes, "
@@ -117,6 +128,8 @@ class PoseSummary:
     jitter_degrees: float | None = None
     jitter_metres: float | None = None  # the same of the position error
     median_velocity: float | None = None  # median velocity error, metres per second; None where none is known
+    overlapping: Interval | None = None  # share whose 3D box overlaps the labelled one enough; None without 3D boxes
+    mean_absolute_length_error: float | None = None  # metres; None where none is found
     # of what has covariances, by its name (`DIMENSIONS`)
     consistency: Mapping[str, Consistency] = field(default_factory=dict)
     # of the numbers above without one, by their names: position, size and velocity, where they are known
@@ -154,8 +167,10 @@ def group_boxes(boxes: Sequence[VideoBox]) -> dict[str, dict[str, list[VideoBox]
         "occlusion": {name: [b for b in boxes if b.occlusion == level] for level, name in _OCCLUSIONS.items()}
         | {"unknown": [b for b in boxes if b.occlusion not in _OCCLUSIONS]},
         "distance": _bands(boxes, _DISTANCES, lambda b: b.distance, "m"),
+        "points": _bands([b for b in boxes if b.points is not None], _POINTS, lambda b: float(b.points or 0), "points"),
     }
-    return {by: {name: some for name, some in named.items() if some} for by, named in groups.items()}
+    filled = {by: {name: some for name, some in named.items() if some} for by, named in groups.items()}
+    return {by: named for by, named in filled.items() if named}
 
 
 def _pick(boxes: Sequence[VideoBox], rules: Mapping[str, Callable[[VideoBox], bool]]) -> dict[str, list[VideoBox]]:
@@ -194,6 +209,9 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> PoseSummary:
     absolute = np.array([np.nan if one.size is None else float(np.mean(np.abs(one.size))) for one in found])
     length, width, height = np.mean(sizes, axis=0).tolist() if sizes else (np.nan,) * 3
     facing = [box.facing for box in boxes if box.facing is not None]
+    lengths = np.array([np.nan if one.size is None else abs(one.size[0]) for one in found])
+    overlaps = [box_overlap(box, one) for box, one in zip(boxes, found, strict=True)]
+    known_overlaps = [value for value in overlaps if value is not None]
     velocities = np.array([np.nan if one.velocity is None else one.velocity for one in found])
     intervals = {
         name: interval(errors[known], tracks[known])
@@ -201,6 +219,7 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> PoseSummary:
             ("median_metres", metres, median_interval),
             ("mean_metres", metres, mean_interval),
             ("mean_absolute_size_error", absolute, mean_interval),
+            ("mean_absolute_length_error", lengths, mean_interval),
             ("median_velocity", velocities, median_interval),
         )
         if (known := np.isfinite(errors)).any()
@@ -219,11 +238,29 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> PoseSummary:
         mean_size_error=(length, width, height) if sizes else None,
         refused=sum(one.failure is not None for one in found),
         mean_absolute_size_error=values.get("mean_absolute_size_error"),
+        mean_absolute_length_error=values.get("mean_absolute_length_error"),
+        overlapping=share([(value or 0.0) >= _OVERLAPPING for value in overlaps]) if known_overlaps else None,
         **_jitter(boxes, method),
         median_velocity=values.get("median_velocity"),
         consistency=_consistency(boxes, method),
         intervals=intervals,
     )
+
+
+def box_overlap(box: VideoBox, found: BoxOutcome) -> float | None:
+    """Share of their union that the estimated and the labelled 3D box have in common; None where one is not known."""
+    if box.size is None or found.size is None or found.off is None:
+        return None
+    turned, *place = found.off
+    estimated = np.add(box.size, found.size)
+    both = _cuboid(np.zeros(3), 0.0, box, box.size), _cuboid(np.array(place), np.radians(turned), box, estimated)
+    return float(overlap(Space.VOLUME, *both)[0, 0])
+
+
+def _cuboid(place: Array, turned: float, box: VideoBox, size: Sequence[float] | Array) -> Objects:
+    """A 3D box at a place (3,) and yaw from the labelled one's."""
+    length, width, height = size
+    return Objects.of_rows([box.kind], np.array([*7 * [0.0], height, width, length, *place, box.rotation_y + turned]))
 
 
 def _consistency(boxes: Sequence[VideoBox], method: str) -> dict[str, Consistency]:

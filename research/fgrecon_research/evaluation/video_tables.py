@@ -10,7 +10,17 @@ from fgrecon_research.evaluation.video_summary import PoseSummary, Summaries
 
 _HEADINGS = (
     *("boxes", "method", *(f"AOP {threshold}° %" for threshold in THRESHOLDS), "flipped %", "silent %", "network %"),
-    *("yaw °", "median m", "mean m", "size cm", "jitter °", "jitter m", *(f"{name} NEES" for name in DIMENSIONS)),
+    *(
+        "yaw °",
+        "median m",
+        "mean m",
+        "IoU 0.7 %",
+        "length cm",
+        "size cm",
+        "jitter °",
+        "jitter m",
+        *(f"{name} NEES" for name in DIMENSIONS),
+    ),
     *("velocity m/s", "refused"),
 )
 _FIRST = "regime"
@@ -20,8 +30,8 @@ def tables(summaries: Summaries) -> dict[str, TextTable]:
     """A table by what the groups are formed by, regimes first, with a row for each group and method.
 
     NEES are squared errors by their covariances: the mean by dimension and the median over that of the chi-square
-    distribution, both 1 where covariances are right, and the percent within the 95 % region. In brackets are 95 %
-    intervals by bootstrap over tracks.
+    distribution, both 1 where covariances are right, and the percent within the 68 % and the 95 % region. In brackets
+    are 95 % intervals by bootstrap over tracks.
     """
     made = {}
     for by in sorted(summaries, key=lambda by: by != _FIRST):
@@ -49,11 +59,15 @@ def _cells(score: PoseSummary) -> list[str]:
         f"{score.mean_degrees.value:.2f}",
         shown(score.intervals.get("median_metres"), 3),
         shown(score.intervals.get("mean_metres"), 3),
+        shown(score.overlapping, 1),
+        shown(score.intervals.get("mean_absolute_length_error"), 1, 100.0),
         shown(score.intervals.get("mean_absolute_size_error"), 1, 100.0),
         number_or_dash(score.jitter_degrees, ".2f"),
         number_or_dash(score.jitter_metres, ".3f"),
     ]
     for name in DIMENSIONS:
         one = score.consistency.get(name)
-        found.append("-" if one is None else f"{one.mean:.1f} / {one.median:.2f} / {one.inside:.0f} %")
+        found.append(
+            "-" if one is None else f"{one.mean:.1f} / {one.median:.2f} / {one.within:.0f} % / {one.inside:.0f} %"
+        )
     return [*found, shown(score.intervals.get("median_velocity"), 2), str(score.refused)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,11 @@ from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.calibration.labelled_drives import ScoredDrives
+    from fgrecon.calibration.labelled_frames import Rivals
+    from fgrecon.calibration.setup import SceneKnowledge
     from fgrecon.cli.terminal import Screen
+    from fgrecon.io.kitti_drives import Drive
+    from fgrecon_research.io.drive_sensors import Sensor
 
 
 def score_drives(
@@ -24,6 +28,7 @@ def score_drives(
     screen: Screen,
     *,
     rivals: Sequence[str] = (),
+    sensors: Collection[Sensor] = (),
     track: bool = False,
     forget_ids: bool = False,
     estimate_motion: bool = False,
@@ -32,6 +37,8 @@ def score_drives(
 
     Args:
         screen: Where progress is shown.
+        rivals: Methods that get the same keypoints.
+        sensors: Those whose methods are scored as well, on the frames that have their files.
         track: Whether the vehicles are followed as well.
         forget_ids: Whether the vehicles that are followed are given ids anew; detected ones have none.
         estimate_motion: Whether they are followed with the camera's estimated motion as well.
@@ -40,17 +47,30 @@ def score_drives(
         InvalidInputError: As `DriveOptions.score` does; there is no method of a name; or the camera's motion is to be
             estimated without a ground.
     """
-    from fgrecon.io.kitti_drives import read_drive
+    from fgrecon.io.kitti_drives import read_drive, read_images
     from fgrecon_research.evaluation.methods import select
-    from fgrecon_research.evaluation.run import ScoredRivals
+    from fgrecon_research.evaluation.sensor_methods import OtherMethods, with_points
     from fgrecon_research.evaluation.video_tracks import follow_boxes
+    from fgrecon_research.io.drive_sensors import Sensor, with_sensors
 
     select(rivals)  # refuse before the work
     if estimate_motion and labelled.ground == NOT_GIVEN:
         fix = "Give a ground, which tells how far the camera goes, or leave --estimate-motion out."
         raise InvalidInputError("estimate_motion", "no ground", fix)
-    others = (lambda scene: partial(ScoredRivals, scene, tuple(rivals))) if rivals else None
-    scored = how.score(folders, labelled, screen, read=read_drive if track else None, rivals=others)
+    if sensors and track:
+        fix = "Leave --track out: what follows vehicles takes pictures alone."
+        raise InvalidInputError("track", f"with {', '.join(sensors)}", fix)
+
+    def read(folder: Path) -> Drive:
+        drive = (read_drive if track else read_images)(folder)
+        return with_sensors(drive, sensors) if sensors else drive
+
+    def others(scene: SceneKnowledge) -> Callable[[], Rivals]:
+        return partial(OtherMethods, scene, tuple(rivals), tuple(sensors))
+
+    scored = how.score(folders, labelled, screen, read=read, rivals=others if rivals or sensors else None)
+    if Sensor.LIDAR in sensors:
+        scored = replace(scored, boxes=with_points(scored.boxes, scored.drives))
     if not track:
         return scored
     with screen.bar() as advance:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.cli.terminal import Screen
     from fgrecon.core.coverage import Reliability
     from fgrecon.viz import SolvedVehicle
+    from fgrecon_research.io.drive_sensors import Sensor
 
 _WORST = 20
 _RIVAL = "sqpnp_confident"
@@ -75,6 +76,25 @@ class Following:
 
 
 @dataclass(frozen=True)
+class Sensors:
+    """Which other sensors' evidence is scored beside the picture alone."""
+
+    lidar: Annotated[
+        bool,
+        typer.Option(
+            "--lidar", help="Score with the LiDAR as well (folder lidar or velodyne), beside crude baselines."
+        ),
+    ] = False
+
+    @property
+    def chosen(self) -> list[Sensor]:
+        """Those that are requested."""
+        from fgrecon_research.io.drive_sensors import Sensor
+
+        return [sensor for sensor in Sensor if getattr(self, sensor.value, False)]
+
+
+@dataclass(frozen=True)
 class VideoOutputs:
     """What is written."""
 
@@ -119,6 +139,7 @@ def video_command(
     terminal: Terminal,
     how: DriveOptions,
     following: Following,
+    sensors: Sensors,
     outputs: VideoOutputs,
     rival: Annotated[
         list[str] | None,
@@ -153,6 +174,7 @@ def video_command(
     scored = score_drives(
         *(how, folders, labelled, screen),
         rivals=rival or [_RIVAL],
+        sensors=sensors.chosen,
         track=following.track,
         forget_ids=following.forget_ids,
         estimate_motion=moving,
@@ -167,7 +189,10 @@ def video_command(
         for method, found in box.outcomes.items():
             error = found.failure or f"{found.degrees:.1f} degrees, {found.metres:.2f} m"
             screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {error}")
-    given = _given(scored, labelled, how, following) | {"estimate_motion": moving}
+    given = _given(scored, labelled, how, following) | {
+        "estimate_motion": moving,
+        "sensors": sensors.chosen,
+    }
     content = document(boxes, summaries, given, scored.networks())
     screen.write_json(json.dumps(content, indent=1, allow_nan=False) + "\n")
     screen.write_text(outputs.markdown, "\n".join(f"{heading}\n\n{one.markdown()}" for heading, one in made.items()))

@@ -1,0 +1,160 @@
+"""Points of one scan from files, as the files have them.
+
+| ending | content |
+|---|---|
+| `.bin` | KITTI: four float32 a point, x, y, z and reflectance |
+| `.pcd.bin` | nuScenes: five float32 a point, x, y, z, intensity and ring |
+| `.npz` | `points` (N, 3) in metres, or `points_cm` (N, 3) in centimetres |
+| `.npy` | (N, 3) or wider; the first three columns count |
+| `.pcd` | of the Point Cloud Library |
+| `.ply` | vertices of any mesh or cloud |
+| `.las`, `.laz` | of surveys |
+
+Points that are not finite are left out: organised clouds have them where nothing came back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.checks import as_shape
+from fgrecon.core.errors import FgreconError, InvalidInputError, MissingPackageError
+from fgrecon.io.arrays import largest_bytes, read_arrays, read_lone_array
+
+Array = NDArray[np.float64]
+
+METRES, CENTIMETRES = "points", "points_cm"
+"""Names of the arrays in an npz file."""
+
+SENSORS = "fgrecon[sensors]"
+"""What has to be installed for some of the formats."""
+
+
+class PointFrame(StrEnum):
+    """Which frame the points of a file have, as far as its format tells."""
+
+    LIDAR = "a LiDAR"
+    RECTIFIED = "KITTI's rectified reference camera"
+    UNKNOWN = "its own"
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """The points of a file.
+
+    Attributes:
+        points: (N, 3) metres, all finite, at least one.
+        frame: Theirs.
+    """
+
+    points: Array
+    frame: PointFrame
+
+
+def read_cloud(path: Path) -> Cloud:
+    """The finite points of a file.
+
+    Raises:
+        InvalidInputError: It cannot be read, its ending means nothing, or it has no point.
+        MissingPackageError: The package that reads such files is not installed.
+    """
+    ending = ending_of(path)
+    read = _READERS.get(ending)
+    if read is None:
+        raise InvalidInputError("lidar", str(path), f"Give a file that ends in {', '.join(_READERS)}.")
+    try:
+        if path.stat().st_size > largest_bytes():
+            raise InvalidInputError("lidar", str(path), f"Give a file of at most {largest_bytes()} bytes.")
+        content = path.read_bytes()
+    except OSError as error:
+        raise InvalidInputError("lidar", str(path), f"Give a file that can be read ({error.strerror}).") from error
+    try:
+        frame, numbers = read(content, path)
+        points = as_shape(str(path), numbers, (None, 3), "Give points (N, 3).")
+    except FgreconError:
+        raise
+    except Exception as error:  # the packages promise no kind of error for damaged content
+        raise InvalidInputError("lidar", str(path), f"Give a whole file of its kind. The reason: {error}") from error
+    kept = points[np.isfinite(points).all(axis=1)]
+    if not len(kept):
+        raise InvalidInputError("lidar", str(path), "Give a file with at least one finite point.")
+    return Cloud(kept, frame)
+
+
+def ending_of(path: Path) -> str:
+    """The ending that chooses the format, in small letters: `.pcd.bin` is one."""
+    name = path.name.lower()
+    return ".pcd.bin" if name.endswith(".pcd.bin") else path.suffix.lower()
+
+
+_Read = tuple[PointFrame, Any]
+
+
+def _floats(columns: int, content: bytes, path: Path) -> _Read:
+    if len(content) % (4 * columns):
+        fix = f"Give {columns} numbers of 4 bytes for each point."
+        raise InvalidInputError("lidar", f"{path}: {len(content)} bytes", fix)
+    return PointFrame.LIDAR, np.frombuffer(content, dtype="<f4").reshape(-1, columns)[:, :3]
+
+
+def _npz(content: bytes, path: Path) -> _Read:
+    fix = f"Give an array `{METRES}` (N, 3) in metres, or `{CENTIMETRES}` of a KITTI drive."
+    arrays = read_arrays(content, str(path), fix, (METRES, CENTIMETRES))
+    if len(arrays) != 1:
+        raise InvalidInputError("lidar", f"{path}: {', '.join(arrays) or 'neither array'}", fix)
+    if METRES in arrays:
+        return PointFrame.UNKNOWN, arrays[METRES]
+    return PointFrame.RECTIFIED, as_shape(f"{path}: {CENTIMETRES}", arrays[CENTIMETRES], (None, 3), fix) / 100.0
+
+
+def _npy(content: bytes, path: Path) -> _Read:
+    numbers = read_lone_array(content, str(path), "Give an array (N, 3) of numbers.")
+    if numbers.ndim != 2 or numbers.shape[1] < 3:
+        raise InvalidInputError("lidar", f"{path}: shape {numbers.shape}", "Give an array (N, 3) of numbers.")
+    return PointFrame.UNKNOWN, numbers[:, :3]
+
+
+def _pcd(content: bytes, path: Path) -> _Read:
+    try:
+        from pypcd4 import PointCloud
+    except ImportError as error:
+        raise MissingPackageError(SENSORS, f"Reading {path.name}") from error
+    return PointFrame.UNKNOWN, PointCloud.from_fileobj(BytesIO(content)).numpy(("x", "y", "z"))
+
+
+def _ply(content: bytes, path: Path) -> _Read:  # noqa: ARG001 - as all readers
+    import trimesh
+
+    return PointFrame.UNKNOWN, trimesh.load(BytesIO(content), file_type="ply", process=False).vertices
+
+
+def _las(content: bytes, path: Path) -> _Read:
+    try:
+        import laspy
+    except ImportError as error:
+        raise MissingPackageError(SENSORS, f"Reading {path.name}") from error
+    return PointFrame.UNKNOWN, laspy.read(BytesIO(content)).xyz
+
+
+_READERS: dict[str, Callable[[bytes, Path], _Read]] = {
+    ".bin": partial(_floats, 4),
+    ".pcd.bin": partial(_floats, 5),
+    ".npz": _npz,
+    ".npy": _npy,
+    ".pcd": _pcd,
+    ".ply": _ply,
+    ".las": _las,
+    ".laz": _las,
+}
+
+CLOUDS = tuple(_READERS)
+"""Endings of the files that are read."""

@@ -1,0 +1,131 @@
+"""What anybody would do with a camera and points of a LiDAR: baselines of the vehicles' places.
+
+`MEDIAN` puts a vehicle where the median depth of the points in its 2D box is, and half its length farther; `CUBOID`
+fits a cuboid of the fleet's size to those of the points that are near that depth and above the ground, by least squares
+over its place on the ground and its yaw. Facing and, for the first, yaw are those of the picture alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.calibration.labelled_boxes import BoxOutcome
+from fgrecon.calibration.labelled_frames import Looked, LookedFrame
+from fgrecon.core.camera import Camera
+from fgrecon.core.geometry import yaw_rotation
+from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, wrap_angle
+from fgrecon.core.point_frames import in_image
+from fgrecon.io.track_file import GroundTruth
+
+Array = NDArray[np.float64]
+
+MEDIAN, CUBOID = "median_depth", "fitted_cuboid"
+"""Names of the baselines."""
+
+_REACH = 4.0  # metres about the median depth in which points are the vehicle's
+_FEET = 0.25  # metres above the ground below which points are the ground's
+_LOSS = 0.1  # metres: farther points count less than their squares
+_FEWEST = 3  # points that a cuboid is fitted to
+
+
+def score_baselines(looked: LookedFrame, points: Array) -> list[Mapping[str, BoxOutcome]]:
+    """The baselines on each labelled box of a frame; one without a point in its 2D box, or a pose, has failed.
+
+    Args:
+        looked: The boxes, and what was found in each by the picture alone.
+        points: (N, 3) of the LiDAR in the camera's frame, metres.
+    """
+    return [_score(looked, look, in_box(points, looked.camera, _box(looked, look))) for look in looked.looks]
+
+
+def in_box(points: Array, camera: Camera, box: Array) -> Array:
+    """The points (N, 3) in the camera's frame that fall into a 2D box (4,)."""
+    seen = points[in_image(points, camera)]
+    pixels = camera.project(seen)
+    return seen[np.all((pixels >= box[:2]) & (pixels <= box[2:]), axis=1)]
+
+
+def _box(looked: LookedFrame, look: Looked) -> Array:
+    assert look.label is not None
+    box: Array = looked.frame.objects.box[look.label]
+    return box
+
+
+def _score(looked: LookedFrame, look: Looked, points: Array) -> Mapping[str, BoxOutcome]:
+    found, prior = look.found.result, looked.setup.size_prior
+    if found is None or not len(points):
+        return dict.fromkeys((MEDIAN, CUBOID), _failed("no point in the 2D box" if found else "no pose by the picture"))
+    size = prior.mean if prior is not None else found.box_size
+    middle = by_median_depth(points, looked.camera, _box(looked, look), size)
+    place = middle + np.array([0.0, size[2] / 2.0, 0.0])
+    labels, offset = looked.frame.objects, looked.frame.calibration.label_offset
+    truth, labelled = looked.truth(look), labels.size[look.label]
+    scored = {MEDIAN: pose_outcome(place - offset, found.rotation_y, size, truth, labelled)}
+    bottom = float(found.location[1])  # of the picture: on its ground
+    near = (np.abs(points[:, 2] - middle[2] + size[0] / 2.0) < _REACH) & (points[:, 1] < bottom - _FEET)
+    if near.sum() < _FEWEST:
+        return scored | {CUBOID: _failed("too few points above the ground")}
+    start = np.array([middle[0], bottom, middle[2]])
+    place, yaw = fit_cuboid(points[near], start, found.rotation_y, size)
+    return scored | {CUBOID: pose_outcome(place - offset, yaw, size, truth, labelled)}
+
+
+def by_median_depth(points: Array, camera: Camera, box: Array, size: Array) -> Array:
+    """(3,) the middle of a vehicle of a size (3,) whose points (N, 3) in its 2D box (4,) are its near side's."""
+    ray = camera.rays([(box[:2] + box[2:]) / 2.0])[0]
+    return np.asarray(ray * (float(np.median(points[:, 2])) + size[0] / 2.0))
+
+
+def fit_cuboid(points: Array, location: Array, yaw: float, size: Array) -> tuple[Array, float]:
+    """Place (3,) and yaw of a cuboid whose surface is nearest to points (N, 3); its height in the world stays.
+
+    Args:
+        points: In the camera's frame, metres.
+        location: (3,) from where, the centre of the bottom face.
+        yaw: From which, radians.
+        size: (3,) length, width and height.
+    """
+    from scipy.optimize import least_squares
+
+    half = np.array([size[0], size[2], size[1]]) / 2.0  # along the object's x, y, z
+
+    def distances(state: Array) -> Array:
+        centre = np.array([state[0], location[1] - half[1], state[1]])
+        inside = np.abs((points - centre) @ yaw_rotation(state[2])) - half
+        outer = np.linalg.norm(np.maximum(inside, 0.0), axis=1)
+        result: Array = outer + np.minimum(inside.max(axis=1), 0.0)
+        return result
+
+    start = np.array([location[0], location[2], yaw])
+    found = least_squares(distances, start, loss="soft_l1", f_scale=_LOSS, x_scale=[1.0, 1.0, 0.2])
+    x, z, angle = found.x.tolist()
+    return np.array([x, location[1], z]), float(wrap_angle(angle))
+
+
+def pose_outcome(location: Array, yaw: float, size: Array, truth: GroundTruth, labelled_size: Array) -> BoxOutcome:
+    """How far a box is off that has no covariances.
+
+    Args:
+        location: (3,) estimated origin in the label's frame, metres.
+        yaw: Estimated, radians.
+        size: (3,) length, width and height.
+        truth: Labelled place and yaw.
+        labelled_size: (3,) the same of the label.
+    """
+    length, width, height = (size - labelled_size).tolist()
+    x, y, z = (location - truth.location).tolist()
+    return BoxOutcome(
+        degrees=float(orientation_error([yaw], [truth.rotation_y])[0]),
+        metres=float(np.linalg.norm(location - truth.location)),
+        size=(length, width, height),
+        status=None,
+        failure=None,
+        off=(float(np.degrees(wrap_angle(yaw - truth.rotation_y))), x, y, z),
+    )
+
+
+def _failed(why: str) -> BoxOutcome:
+    return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, why)

@@ -1,0 +1,72 @@
+"""Other sensors' files beside the images of a drive.
+
+| file, of frame 12 | content |
+|---|---|
+| `lidar/000012.npz` | `points_cm` in the rectified reference camera's frame |
+| `velodyne/000012.bin`, `velodyne_points/data/...` | KITTI's scan, in its LiDAR's frame |
+| `image_03/000012.png` (or `.jpg`) | the right image of a rectified pair; its camera is P3 |
+| `depth/000012.png` | KITTI's depth map of 16 bits |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.io.sensors.points import read_points
+
+Array = NDArray[np.float64]
+
+
+class Sensor(StrEnum):
+    """What a drive may have beside its images."""
+
+    LIDAR = "lidar"
+    RIGHT = "right"
+    DEPTH = "depth"
+
+
+_PLACES = {
+    Sensor.LIDAR: ("lidar/{}.npz", "velodyne/{}.bin", "velodyne_points/data/{}.bin"),
+    Sensor.RIGHT: ("image_03/{}.png", "image_03/{}.jpg"),
+    Sensor.DEPTH: ("depth/{}.png", "depth/{}.npy"),
+}
+
+
+def file_of(frame: DriveFrame, sensor: Sensor) -> Path | None:
+    """The sensor's file of a frame, or None."""
+    root = frame.image.parent.parent
+    files = (root / place.format(frame.image.stem) for place in _PLACES[sensor])
+    return next((file for file in files if file.is_file()), None)
+
+
+def with_sensors(drive: Drive, sensors: Collection[Sensor]) -> Drive:
+    """The drive's frames that have files of all the sensors.
+
+    Raises:
+        InvalidInputError: No frame has.
+    """
+    frames = tuple(frame for frame in drive.frames if all(file_of(frame, sensor) for sensor in sensors))
+    if not frames:
+        names = ", ".join(place.format("FFFFFF") for sensor in sensors for place in _PLACES[sensor])
+        raise InvalidInputError("drive", f"no sensor's files in {drive.name}", f"Give a drive with {names}.")
+    return replace(drive, frames=frames)
+
+
+def lidar_points(frame: DriveFrame) -> Array:
+    """(N, 3) the LiDAR's points of a frame in the camera's frame, metres.
+
+    Raises:
+        InvalidInputError: There is no file, or it cannot be used.
+    """
+    file = file_of(frame, Sensor.LIDAR)
+    if file is None:
+        raise InvalidInputError("lidar", f"none of {frame.image}", "Give a frame with LiDAR.")
+    return read_points(file, frame.calibration)
