@@ -275,3 +275,19 @@ def test_what_results_say_of_themselves(drives, weights, tmp_path):
     nowhere = CliRunner().invoke(main.app, ["evaluate", "calibration", "--simulated", "3", "--detect"])
     assert isinstance(nowhere.exception, InvalidInputError)
     assert nowhere.exception.field == "detect"
+
+
+def test_a_lidar_is_scored_beside_the_picture_alone(drives, weights, tmp_path):
+    for folder in drives:
+        (folder / "lidar").mkdir()
+        scan = np.column_stack([np.full(90, 10), np.linspace(0, 100, 90), np.linspace(1200, 1500, 90)])
+        np.savez(folder / "lidar" / "000007.npz", points_cm=scan.astype(np.int16))
+    done = run(*drives, "--weights", weights, "--lidar", "--json", tmp_path / "r.json")
+    assert done.exit_code == 0, done.output
+    made = json.loads((tmp_path / "r.json").read_text())
+    assert {"median_depth", "fitted_cuboid"} < set(made["methods"])
+    assert made["given"]["sensors"] == ["lidar"]
+    assert "points" in made["methods"]["median_depth"]
+    refused = run(*drives, "--weights", weights, "--lidar", "--track")
+    assert isinstance(refused.exception, InvalidInputError)
+    assert "--track" in str(refused.exception)
