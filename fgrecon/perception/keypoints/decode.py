@@ -48,6 +48,8 @@ class ConfidenceCalibration:
             a likelihood cannot know, such as how annotators see a keypoint.
         sharpness: Power to which the directions' probabilities are raised: below 1 where the network is too sure.
         doubt: Probability that its direction means nothing.
+        kind_sharpness: The same of the kinds of vehicles.
+        kind_doubt: Likewise.
     """
 
     bias: float = 0.0
@@ -58,6 +60,8 @@ class ConfidenceCalibration:
     floor: float = 0.0
     sharpness: float = 1.0
     doubt: float = 0.0
+    kind_sharpness: float = 1.0
+    kind_doubt: float = 0.0
 
     def confidence(self, visible: Array, mass: Array) -> Array:
         """(B, K) confidences in (0, 1) from visibility logits and masses (B, K)."""
@@ -76,11 +80,11 @@ class ConfidenceCalibration:
 
     def direction(self, azimuth: Array) -> Array:
         """(B, A) probabilities of the directions from what the network says of them (B, A)."""
-        if self.sharpness == 1.0 and self.doubt == 0.0:
-            return azimuth
-        power = np.clip(azimuth, _TINY**2, None) ** self.sharpness
-        probability: Array = (1.0 - self.doubt) * power / power.sum(axis=1, keepdims=True) + self.doubt / power.shape[1]
-        return probability
+        return _softened(azimuth, self.sharpness, self.doubt)
+
+    def kinds(self, kinds: Array) -> Array:
+        """(B, N) probabilities of the kinds of vehicles, likewise."""
+        return _softened(kinds, self.kind_sharpness, self.kind_doubt)
 
     def to_dict(self) -> dict[str, float]:
         """Plain numbers for a file."""
@@ -88,9 +92,18 @@ class ConfidenceCalibration:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, float]) -> ConfidenceCalibration:
-        """The reverse of `to_dict`; files of the first release have no `sharpness` and no `doubt`."""
-        later = "sharpness", "doubt"
+        """The reverse of `to_dict`; older files lack what came later."""
+        later = "sharpness", "doubt", "kind_sharpness", "kind_doubt"
         return cls(**{f.name: float(data[f.name]) for f in fields(cls) if f.name in data or f.name not in later})
+
+
+def _softened(probability: Array, sharpness: float, doubt: float) -> Array:
+    """(B, N) probabilities to a power, mixed with every outcome alike."""
+    if sharpness == 1.0 and doubt == 0.0:
+        return probability
+    power = np.clip(probability, _TINY**2, None) ** sharpness
+    mixed: Array = (1.0 - doubt) * power / power.sum(axis=1, keepdims=True) + doubt / power.shape[1]
+    return mixed
 
 
 def left_probability(azimuth: Array) -> float:

@@ -207,6 +207,7 @@ class KeypointCascade:
         decoded = decode(likelihood, size / likelihood.shape[-1], REACH * size / MARGIN)
         confidence = self.calibration.confidence(visible, decoded.mass)
         azimuth = self.calibration.direction(azimuth)
+        kinds = None if kinds is None else self.calibration.kinds(kinds)
         if self._refine_patches is not None:
             decoded = self._refine(self._refine_patches, images, boxes, likelihood, decoded)
         detections = []

@@ -12,6 +12,7 @@ from fgrecon.perception.keypoints.decode import ConfidenceCalibration, logit, si
 from fgrecon.perception.keypoints.detect import REACH, KeypointCascade
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.dataset import Photographs
+from fgrecon_research.training.keypoints.deform import UNKNOWN_KIND
 from fgrecon_research.training.keypoints.labels import SEEN
 from fgrecon_research.training.keypoints.views import azimuth_weights
 
@@ -51,6 +52,7 @@ def calibrate(
     box = (_SIDE - 1) / 2 + np.array([-0.5, -0.5, 0.5, 0.5]) * extent
     weights = azimuth_weights(photographs.azimuth, chosen)
     visible, mass, right, spread, error, azimuth, truth = [], [], [], [], [], [], []
+    kinds, kind = [], []
     for start in range(0, samples, _BATCH):
         count = min(_BATCH, samples - start)
         drawn = [photographs.draw(chosen, weights, scene, partner, (seed, start + i)) for i in range(count)]
@@ -61,6 +63,9 @@ def calibrate(
             hit = (sample.visible > SEEN) & (np.linalg.norm(away, axis=1) <= REACH)
             azimuth.append(detection.azimuth)
             truth.append(sample.azimuth)
+            if detection.kinds is not None and sample.kind != UNKNOWN_KIND:
+                kinds.append(list(detection.kinds.values()))
+                kind.append(sample.kind)
             visible.append(logit(detection.visible)[known])
             mass.append(detection.mass[known])
             right.append(hit[known])
@@ -70,6 +75,7 @@ def calibrate(
     fitted = fit_confidence(np.concatenate(visible), np.concatenate(mass), np.concatenate(right))
     fitted = fit_spread(fitted, np.concatenate(spread), np.concatenate(error))
     fitted = fit_direction(fitted, np.array(azimuth), np.array(truth))
+    fitted = fit_kinds(fitted, np.array(kinds), np.array(kind, dtype=np.int64))
     return replace(fitted, floor=float(np.hypot(fitted.floor, _UNLABELLED)))
 
 
@@ -124,4 +130,19 @@ def fit_direction(calibration: ConfidenceCalibration, azimuth: Array, truth: Arr
     side = 0.5 * (1.0 + np.sign(np.round(np.cos(centres - truth[:, None]), 9)))  # a bin on the border counts half
     tried = [replace(calibration, sharpness=power, doubt=doubt) for power in _SHARPNESS for doubt in _DOUBTS]
     cost = [-float(np.log((one.direction(azimuth) * side).sum(axis=1) + 1e-6).mean()) for one in tried]
+    return tried[int(np.argmin(cost))]
+
+
+def fit_kinds(calibration: ConfidenceCalibration, kinds: Array, truth: NDArray[np.int64]) -> ConfidenceCalibration:
+    """The sharpness and doubt under which the true kinds are most probable.
+
+    Args:
+        kinds: (M, N) probabilities of the kinds as the network says them.
+        truth: (M,) numbers of the true ones.
+    """
+    if not len(truth):
+        return calibration
+    tried = [replace(calibration, kind_sharpness=power, kind_doubt=doubt) for power in _SHARPNESS for doubt in _DOUBTS]
+    rows = np.arange(len(truth))
+    cost = [-float(np.log(one.kinds(kinds)[rows, truth] + 1e-6).mean()) for one in tried]
     return tried[int(np.argmin(cost))]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
-from fgrecon_research.training.keypoints.calibrate import fit_confidence, fit_direction, fit_spread
+from fgrecon_research.training.keypoints.calibrate import fit_confidence, fit_direction, fit_kinds, fit_spread
 
 
 def test_calibration_recovers_the_probabilities_that_made_the_examples():
@@ -46,3 +46,15 @@ def test_directions_are_made_as_sure_as_they_are_right():
     assert doubting.doubt >= 0.04
     np.testing.assert_allclose(doubting.direction(honest).sum(axis=1), 1.0)
     assert fit_direction(fitted, sharp[:0], truth[:0]) is fitted
+
+
+def test_kinds_are_made_as_sure_as_they_are_right():
+    rng = np.random.default_rng(4)
+    honest = rng.dirichlet([1.0, 0.5, 0.3], 6000)
+    truth = np.array([rng.choice(3, p=p) for p in honest])
+    sharp = honest**2 / (honest**2).sum(axis=1, keepdims=True)
+    fitted = fit_kinds(ConfidenceCalibration(), sharp, truth)
+    assert fitted.kind_sharpness == pytest.approx(0.5, abs=0.11)
+    assert fitted.kind_doubt <= 0.02
+    np.testing.assert_allclose(fitted.kinds(sharp).sum(axis=1), 1.0)
+    assert fit_kinds(fitted, sharp[:0], truth[:0]) is fitted
