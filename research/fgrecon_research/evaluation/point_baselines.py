@@ -32,14 +32,16 @@ _YAW = np.radians(5.0)  # that the picture's is trusted, 1 sigma; points alone t
 _FEWEST = 3  # points that a cuboid is fitted to
 
 
-def score_baselines(looked: LookedFrame, points: Array) -> list[Mapping[str, BoxOutcome]]:
+def score_baselines(looked: LookedFrame, points: Array, suffix: str = "") -> list[Mapping[str, BoxOutcome]]:
     """The baselines on each labelled box of a frame; one without a point in its 2D box, or a pose, has failed.
 
     Args:
         looked: The boxes, and what was found in each by the picture alone.
-        points: (N, 3) of the LiDAR in the camera's frame, metres.
+        points: (N, 3) in the camera's frame, metres.
+        suffix: Of the baselines' names: of points of another sensor than a LiDAR.
     """
-    return [_score(looked, look, in_box(points, looked.camera, _box(looked, look))) for look in looked.looks]
+    scored = [_score(looked, look, in_box(points, looked.camera, _box(looked, look))) for look in looked.looks]
+    return [{f"{name}{suffix}": one for name, one in found.items()} for found in scored]
 
 
 def in_box(points: Array, camera: Camera, box: Array) -> Array:

@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 from fgrecon.calibration.labelled_boxes import BoxOutcome, VideoBox
 from fgrecon.calibration.labelled_frames import LookedFrame
 from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.perception.stereo import stereo_depth
 from fgrecon_research.evaluation.point_baselines import score_baselines
 from fgrecon_research.evaluation.run import ScoredRivals
-from fgrecon_research.io.drive_sensors import Sensor, lidar_points
+from fgrecon_research.io.drive_sensors import Sensor, lidar_points, right_image
 
 Array = NDArray[np.float64]
+
+_EVERY = 2  # rows and columns of a depth map that baselines take
 
 
 class OtherMethods:
@@ -36,7 +40,17 @@ class OtherMethods:
         scored = [self._rivals(looked)]
         if Sensor.LIDAR in self._sensors:
             scored.append(score_baselines(looked, lidar_points(looked.frame)))
+        if Sensor.RIGHT in self._sensors:
+            found = stereo_depth(looked.image, looked.camera, right_image(looked.frame))
+            points = depth_points(found.depth[::_EVERY, ::_EVERY], looked.camera, _EVERY)
+            scored.append(score_baselines(looked, points, "_stereo"))
         return [{name: one for part in parts for name, one in part.items()} for parts in zip(*scored, strict=True)]
+
+
+def depth_points(depth: Array, camera: Camera, every: int = 1) -> Array:
+    """(N, 3) points in the camera's frame of a depth map (H, W) that has every so many rows and columns of an image."""
+    row, column = np.nonzero(np.isfinite(depth))
+    return np.asarray(camera.rays(np.stack([column, row], axis=1) * float(every)) * depth[row, column, None])
 
 
 def with_points(boxes: Sequence[VideoBox], drives: Sequence[Drive]) -> list[VideoBox]:

@@ -19,6 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.stereo_pair import StereoPair
+from fgrecon.io.images import read_image
+from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.sensors.points import read_points
 
@@ -58,6 +61,21 @@ def with_sensors(drive: Drive, sensors: Collection[Sensor]) -> Drive:
         names = ", ".join(place.format("FFFFFF") for sensor in sensors for place in _PLACES[sensor])
         raise InvalidInputError("drive", f"no sensor's files in {drive.name}", f"Give a drive with {names}.")
     return replace(drive, frames=frames)
+
+
+def right_image(frame: DriveFrame) -> StereoPair:
+    """The right image of a frame.
+
+    Raises:
+        InvalidInputError: There is none, or it cannot be used.
+    """
+    file = file_of(frame, Sensor.RIGHT)
+    right = None if file is None else calibration_beside(file)
+    if file is None or right is None:
+        raise InvalidInputError("right", f"none of {frame.image}", "Give a frame with image_03 and P3.")
+    motion = np.eye(4)
+    motion[:3, 3] = right.label_offset - frame.calibration.label_offset
+    return StereoPair(read_image(file), right.camera, motion)
 
 
 def lidar_points(frame: DriveFrame) -> Array:

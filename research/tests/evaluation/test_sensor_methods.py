@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import partial
 
+import cv2
 import numpy as np
 import pytest
 
@@ -11,11 +12,13 @@ from fgrecon.calibration.labelled_frames import score_frames
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import yaw_rotation
+from fgrecon.io.images import write_png
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon_research.evaluation.point_baselines import CUBOID, MEDIAN, by_median_depth, fit_cuboid
 from fgrecon_research.evaluation.sensor_methods import OtherMethods, with_points
 from fgrecon_research.evaluation.video_summary import box_overlap, group_boxes
 from fgrecon_research.io.drive_sensors import Sensor, with_sensors
+from tests.made_up_track import T2, K
 
 from .test_video_images import PLACES, SIZE, YAWS, folder, setup  # noqa: F401
 
@@ -84,3 +87,21 @@ def test_3d_boxes_overlap_as_by_hand():
     assert box_overlap(box, replace(found, off=(180.0, 0.0, 0.0, 0.0))) == pytest.approx(1.0)
     assert box_overlap(box, replace(found, size=None)) is None
     assert box_overlap(replace(box, size=None), found) is None
+
+
+def test_the_right_image_has_baselines_of_its_own(folder, setup, scene):  # noqa: F811
+    """Both images show one texture as of a wall 12 m away, where the second vehicle is."""
+    texture = np.random.default_rng(3).integers(0, 255, (360, 1200, 3)).astype(np.uint8)
+    left = cv2.GaussianBlur(texture, (0, 0), 1.5)
+    disparity = round(K[0, 0] * 0.5 / 12.0)
+    (folder / "image_03").mkdir()
+    write_png(folder / "image_02" / "000000.png", left)
+    write_png(folder / "image_03" / "000000.png", np.roll(left, -disparity, axis=1))
+    p3 = " ".join(map(str, np.hstack([K, (K @ (T2 - [0.5, 0.0, 0.0]))[:, None]]).ravel()))
+    with (folder / "calib.txt").open("a") as file:
+        file.write(f"P3: {p3}\n")
+    drive = with_sensors(read_drive(folder), [Sensor.RIGHT])
+    (frame,) = score_frames([drive], {"drive": setup}, rivals=partial(OtherMethods, scene, (), (Sensor.RIGHT,)))
+    of_second = frame.boxes[1].outcomes
+    assert of_second[f"{MEDIAN}_stereo"].off[3] == pytest.approx(2.1, abs=0.6)  # half a length
+    assert of_second[f"{CUBOID}_stereo"].failure is None

@@ -85,6 +85,9 @@ class Sensors:
             "--lidar", help="Score with the LiDAR as well (folder lidar or velodyne), beside crude baselines."
         ),
     ] = False
+    right: Annotated[
+        bool, typer.Option("--right", help="The same with the right image of a rectified pair (folder image_03).")
+    ] = False
 
     @property
     def chosen(self) -> list[Sensor]:
