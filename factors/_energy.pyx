@@ -13,12 +13,13 @@ from libc.string cimport memcpy, memset
 
 import numpy as np
 
+from factors._rows cimport Source
 from factors.box import FARTHEST_SHARE, NEAREST_KINK
 from factors.mixture import STIFFEST
-from factors.projection import LEAST_DEPTH
+from factors.projection import LEAST_DEPTH, SHALLOWEST
 
 cdef double PI = 3.14159265358979323846
-cdef double LEAST = LEAST_DEPTH, FARTHEST = FARTHEST_SHARE, NEAREST = NEAREST_KINK, STIFF = STIFFEST
+cdef double LEAST = LEAST_DEPTH, FARTHEST = FARTHEST_SHARE, NEAREST = NEAREST_KINK, STIFF = STIFFEST, SHALLOW = SHALLOWEST
 
 cdef enum Form:  # as `factors.mixture.Form`
     WEIGHTED = 0
@@ -78,18 +79,20 @@ cdef inline void mixture(double right, double wrong, double s, double *weight, d
 
 
 cdef inline void robust(
-    int form, double right, double wrong, double s, double *stretch, double *weight, double *bend
+    int form, double right, double wrong, double s, double *stretch, double *weight, double *bend, double *loss
 ) noexcept nogil:
-    """Factor on a residual of squared length s, root of its weight, what is taken off along it (`factors.mixture`)."""
-    cdef double w, loss, rest
+    """Factor on a residual of squared length s, root of its weight, what is taken off along it (`factors.mixture`); and
+    its loss."""
+    cdef double w, rest
     bend[0] = 0.0
     if form == WEIGHTED:
         stretch[0] = weight[0] = sqrt(right)
+        loss[0] = 0.5 * right * s
         return
-    mixture(right, wrong, s, &w, &loss)
+    mixture(right, wrong, s, &w, loss)
     weight[0] = sqrt(w)
     if form == LOSS:
-        stretch[0] = sqrt(2.0 * loss / s) if s > 0.0 else weight[0]
+        stretch[0] = sqrt(2.0 * loss[0] / s) if s > 0.0 else weight[0]
         return
     if form == MAJORISED:
         stretch[0] = weight[0]
@@ -402,6 +405,10 @@ cdef class Observation:
             turn[5 + 3 * a] = -R[3 * a] / self.tilt_sigma
         r[0] /= height_sigma
 
+    cdef double height_sigma_at(self, double depth) noexcept nogil:
+        """Standard deviation of the ground's height at a depth, metres."""
+        return sqrt(self.height_sigma * self.height_sigma + self.slope_sigma * self.slope_sigma * depth * depth)
+
     cdef void visible(self, const double *R, const double *t, double *visibility) noexcept nogil:
         """Visibility (K,) of the keypoints from a pose (`fgrecon.solve.vehicle.visibility.VisibilityTable`)."""
         cdef int k, a, i, j, A = self.table.shape[1], E = self.table.shape[2]
@@ -452,29 +459,29 @@ cdef class Observation:
         right[0] = believed * (1.0 - self.gross)
         wrong[0] = (believed * self.gross + unsure + hidden * self.false_alarm * self.right[k]) * self.outlier[k]
 
-    def rows_at(
-        self, const double[:, :] pose, const double[::1] x, const double[::1] offsets, const double[::1] right,
-        const double[::1] wrong, const double[::1] edges, double height_sigma, int form, double[::1] residual,
-        double[:, ::1] jacobian
-    ):
-        """Fill residual (rows,) and, where it is given, the Jacobian (rows, 6 + N + 3K) of the graph.
+    cdef double graph_rows(
+        self, const double *R, const double *t, const double *x, const double *offsets, const double *right,
+        const double *wrong, const double *edges, double height_sigma, int form, double *work, double *residual,
+        double *jacobian, double *energy
+    ) noexcept nogil:
+        """Fill residual (rows,) and, unless it is NULL, the Jacobian (rows, 6 + N + 3K), which is zero on entry.
 
         Args:
-            pose: (4, 4) camera_T_object. x: (N,). offsets: (3K,) or None.
+            R, t, x, offsets: Pose, coefficients, and offsets or NULL.
             right: (K,) densities of right points, or their weights.
             wrong: (K,) densities of wrong points.
             edges: (4,) weights of the box's edges.
-            height_sigma: Of the origin over the ground, metres.
+            height_sigma: Of the origin over the ground, metres; 0 where that says nothing.
             form: As `factors.mixture.Form`.
-            residual: (rows,) to fill.
-            jacobian: None, or to fill: columns turn and shift about and along the object's axes, coefficients, offsets.
+            work: (14 P + 8 (6 + N),).
+            residual: To fill.
+            jacobian: NULL, or to fill: columns turn and shift about and along the object's axes, coefficients, offsets.
+            energy: To fill: what `Form.LOSS` makes of it, nats.
 
         Returns:
             The least depth in metres.
         """
-        cdef int K = self.keypoints, N = self.coefficients, a, i, k, n, D = 6 + N, row
-        cdef double R[9]
-        cdef double t[3]
+        cdef int K = self.keypoints, N = self.coefficients, D = 6 + N, width = 6 + N + 3 * K, a, i, k, n, row
         cdef double r[4]
         cdef double X[3]
         cdef double camera[6]
@@ -482,73 +489,61 @@ cdef class Observation:
         cdef double turn[12]
         cdef double shift[3]
         cdef double depth, nearest = INFINITY, s, weight, loss, stretch, bend, p
-        cdef const double *o = NULL
         cdef double *J
-        cdef double[::1] work = np.empty(14 * self.points + 8 * D)
-        cdef double *box = &work[0] + 14 * self.points if jacobian is not None else NULL
-        cdef double *crease = box + 4 * D if jacobian is not None and form == MAJORISED else NULL
-        if x.shape[0] != N or right.shape[0] != K or wrong.shape[0] != K or residual.shape[0] != self.rows:
-            raise ValueError("arrays of another number of keypoints or coefficients")
-        if edges.shape[0] != 4 or pose.shape[0] != 4 or pose.shape[1] != 4:
-            raise ValueError("a pose (4, 4) and four edges are expected")
-        if offsets is not None:
-            if offsets.shape[0] != 3 * K:
-                raise ValueError("offsets (3K,) are expected")
-            o = &offsets[0]
-        if jacobian is not None and (jacobian.shape[0] != self.rows or jacobian.shape[1] != D + 3 * K):
-            raise ValueError("a Jacobian (rows, 6 + N + 3K) is expected")
-        unpack(pose, R, t)
-        with nogil:
-            if jacobian is not None:
-                memset(&jacobian[0, 0], 0, self.rows * (D + 3 * K) * sizeof(double))
-            for k in range(K):
-                depth = self.keypoint(k, R, t, &x[0] if N else NULL, o, LEAST, r, X, camera, body)
-                nearest = depth if depth < nearest else nearest
-                s = r[0] * r[0] + r[1] * r[1]
-                robust(form, right[k], wrong[k], s, &stretch, &weight, &bend)
-                residual[2 * k], residual[2 * k + 1] = stretch * r[0], stretch * r[1]
-                if jacobian is None or weight == 0.0:
+        cdef double *box = work + 14 * self.points if jacobian != NULL else NULL
+        cdef double *crease = box + 4 * D if jacobian != NULL and form == MAJORISED else NULL
+        energy[0] = 0.0
+        for k in range(K):
+            depth = self.keypoint(k, R, t, x, offsets, LEAST, r, X, camera, body)
+            nearest = depth if depth < nearest else nearest
+            s = r[0] * r[0] + r[1] * r[1]
+            robust(form, right[k], wrong[k], s, &stretch, &weight, &bend, &loss)
+            energy[0] += loss
+            residual[2 * k], residual[2 * k + 1] = stretch * r[0], stretch * r[1]
+            if jacobian == NULL or weight == 0.0:
+                continue
+            p = bend / s if s > 0.0 else 0.0
+            for a in range(3):  # sqrt(w) (I - bend r r' / s) on the derivatives by the object point
+                loss = p * (r[0] * body[a] + r[1] * body[3 + a])
+                body[a] = weight * (body[a] - r[0] * loss)
+                body[3 + a] = weight * (body[3 + a] - r[1] * loss)
+            for i in range(2):
+                J = jacobian + (2 * k + i) * width
+                cross(X, body + 3 * i, J)
+                for a in range(3):
+                    J[3 + a] = body[3 * i + a]
+                    J[6 + N + 3 * k + a] = body[3 * i + a]
+                    for n in range(N):
+                        J[6 + n] += body[3 * i + a] * self.basis[n, 3 * k + a]
+        row = 2 * K
+        memset(residual + row, 0, 12 * sizeof(double))
+        if self.has_box:
+            self.box(R, t, x, LEAST, r, box, crease, work)
+            for i in range(4):
+                if not self.used[i]:
                     continue
-                p = bend / s if s > 0.0 else 0.0
-                for a in range(3):  # sqrt(w) (I - bend r r' / s) on the derivatives by the object point
-                    loss = p * (r[0] * body[a] + r[1] * body[3 + a])
-                    body[a] = weight * (body[a] - r[0] * loss)
-                    body[3 + a] = weight * (body[3 + a] - r[1] * loss)
-                for i in range(2):
-                    J = &jacobian[2 * k + i, 0]
-                    cross(X, body + 3 * i, J)
+                s = r[i] * r[i]
+                p = edges[i] if form == WEIGHTED else 1.0
+                robust(form, p, self.box_wrong, s, &stretch, &weight, &bend, &loss)
+                energy[0] += loss
+                residual[row + i] = stretch * r[i]
+                if jacobian == NULL:
+                    continue
+                weight *= 1.0 - bend
+                placed(box + i * D, weight, R, N, jacobian + (row + i) * width)
+                if crease != NULL:
+                    placed(crease + i * D, weight, R, N, jacobian + (row + 8 + i) * width)
+        row += 4
+        if self.has_ground and height_sigma > 0.0:
+            self.ground(R, t, height_sigma, r, turn, shift)
+            for i in range(4):
+                residual[row + i] = r[i]
+                energy[0] += 0.5 * r[i] * r[i]
+            if jacobian != NULL:
+                turned(shift, R, jacobian + row * width + 3)
+                for i in range(4):
                     for a in range(3):
-                        J[3 + a] = body[3 * i + a]
-                        J[6 + N + 3 * k + a] = body[3 * i + a]
-                        for n in range(N):
-                            J[6 + n] += body[3 * i + a] * self.basis[n, 3 * k + a]
-            row = 2 * K
-            memset(&residual[row], 0, 12 * sizeof(double))
-            if self.has_box:
-                self.box(R, t, &x[0] if N else NULL, LEAST, r, box, crease, &work[0])
-                for i in range(4):
-                    if not self.used[i]:
-                        continue
-                    s = r[i] * r[i]
-                    p = edges[i] if form == WEIGHTED else 1.0
-                    robust(form, p, self.box_wrong, s, &stretch, &weight, &bend)
-                    residual[row + i] = stretch * r[i]
-                    if jacobian is None:
-                        continue
-                    weight *= 1.0 - bend
-                    placed(box + i * D, weight, R, N, &jacobian[row + i, 0])
-                    if crease != NULL:
-                        placed(crease + i * D, weight, R, N, &jacobian[row + 8 + i, 0])
-            row += 4
-            if self.has_ground:
-                self.ground(R, t, height_sigma, r, turn, shift)
-                for i in range(4):
-                    residual[row + i] = r[i]
-                if jacobian is not None:
-                    turned(shift, R, &jacobian[row, 3])
-                    for i in range(4):
-                        for a in range(3):
-                            jacobian[row + i, a] = turn[3 * i + a]
+                        jacobian[(row + i) * width + a] = turn[3 * i + a]
         return nearest
 
     def assess(
@@ -563,48 +558,142 @@ cdef class Observation:
 
         Returns:
             weights (K,); densities (K,) of right and of wrong points; weights (4,) of the edges; energies of keypoints
-            and box in nats; how much of both is loss, which is zero where all is right and at its place.
+            and box in nats.
         """
-        cdef int K = self.keypoints, i, k
+        cdef int K = self.keypoints
         cdef double R[9]
         cdef double t[3]
-        cdef double r[4]
-        cdef double X[3]
-        cdef double camera[6]
-        cdef double body[6]
-        cdef double weight, loss, inlier, keypoint_energy = 0.0, box_energy = 0.0, losses = 0.0
+        cdef double energies[2]
         cdef double[::1] work = np.empty(14 * self.points + 1)
-        cdef double[::1] weights = np.zeros(K), right = np.empty(K), wrong = np.empty(K), edges = np.zeros(4)
-        cdef const double *o = NULL
+        cdef double[::1] weights = np.empty(K), right = np.empty(K), wrong = np.empty(K), edges = np.empty(4)
         if not self.is_bound:
             raise ValueError("bind the observation by `search_by` first")
         if x.shape[0] != self.coefficients or visibility.shape[0] != K or pose.shape[0] != 4 or pose.shape[1] != 4:
             raise ValueError("arrays of another number of keypoints or coefficients")
-        if offsets is not None:
-            if offsets.shape[0] != 3 * K:
-                raise ValueError("offsets (3K,) are expected")
-            o = &offsets[0]
+        if offsets is not None and offsets.shape[0] != 3 * K:
+            raise ValueError("offsets (3K,) are expected")
         unpack(pose, R, t)
         with nogil:
-            if look:
-                self.visible(R, t, &visibility[0])
-            for k in range(K):
-                self.keypoint(k, R, t, &x[0] if self.coefficients else NULL, o, LEAST, r, X, camera, body)
-                self.densities(k, visibility[k], &right[k], &wrong[k])
-                if self.measured[k]:
-                    mixture(right[k], wrong[k], r[0] * r[0] + r[1] * r[1], &weights[k], &loss)
-                    keypoint_energy += loss - log(right[k] + wrong[k])
-                    losses += loss
-            if self.has_box:
-                self.box(R, t, &x[0] if self.coefficients else NULL, LEAST, r, NULL, NULL, &work[0])
-                for i in range(4):
-                    if self.used[i]:
-                        inlier = exp(-0.5 * r[i] * r[i])
-                        edges[i] = inlier / (inlier + self.box_wrong)
-                        box_energy -= log(inlier + self.box_wrong)
-                        losses += log((1.0 + self.box_wrong) / (inlier + self.box_wrong))
+            self.judge(
+                R, t, &x[0] if self.coefficients else NULL, &offsets[0] if offsets is not None else NULL,
+                &visibility[0], look, &weights[0], &right[0], &wrong[0], &edges[0], &work[0], energies
+            )
         assessed = np.asarray(weights), np.asarray(right), np.asarray(wrong), np.asarray(edges)
-        return *assessed, keypoint_energy, box_energy, losses
+        return *assessed, energies[0], energies[1]
+
+    cdef void judge(
+        self, const double *R, const double *t, const double *x, const double *offsets, double *visibility, bint look,
+        double *weights, double *right, double *wrong, double *edges, double *work, double *energies
+    ) noexcept nogil:
+        """What the mixture makes of a state; see `assess`. The energies are of keypoints and box."""
+        cdef double r[4]
+        cdef double X[3]
+        cdef double camera[6]
+        cdef double body[6]
+        cdef double loss, inlier
+        cdef int i, k
+        energies[0] = energies[1] = 0.0
+        memset(edges, 0, 4 * sizeof(double))
+        if look:
+            self.visible(R, t, visibility)
+        for k in range(self.keypoints):
+            self.keypoint(k, R, t, x, offsets, LEAST, r, X, camera, body)
+            self.densities(k, visibility[k], &right[k], &wrong[k])
+            weights[k] = 0.0
+            if self.measured[k]:
+                mixture(right[k], wrong[k], r[0] * r[0] + r[1] * r[1], &weights[k], &loss)
+                energies[0] += loss - log(right[k] + wrong[k])
+        if self.has_box:
+            self.box(R, t, x, LEAST, r, NULL, NULL, work)
+            for i in range(4):
+                if self.used[i]:
+                    inlier = exp(-0.5 * r[i] * r[i])
+                    edges[i] = inlier / (inlier + self.box_wrong)
+                    energies[1] -= log(inlier + self.box_wrong)
+
+
+cdef class ImageRows(Source):
+    """Rows of an observation in a graph: of the pose, the coefficients and the offsets.
+
+    Attributes:
+        terms: What is observed.
+        form: How the mixtures are handed to the solver, as `factors.mixture.Form`; without a Jacobian it is the loss.
+        share: Factor on the energy of all rows.
+        on_ground: Whether the ground, where one is observed, says something.
+    """
+
+    cdef readonly Observation terms
+    cdef public int form
+    cdef readonly double share
+    cdef readonly bint on_ground
+    cdef double height_sigma  # of the origin over the ground, metres; 0 where that says nothing
+    cdef double[::1] visibility  # what densities and weights were made with
+    cdef double[::1] right, wrong, edges, work  # as `Observation.graph_rows` has them
+
+    def __init__(self, Observation terms, double share, bint on_ground):
+        """Bind the observation."""
+        cdef int K = terms.keypoints, N = terms.coefficients
+        self.terms, self.share, self.form, self.rows = terms, share, NEWTON, terms.rows
+        self.on_ground, self.height_sigma = on_ground and terms.has_ground, 0.0
+        self.visibility, self.judged = np.ones(K), 2 * K + 5 if terms.is_bound else 0
+        self.right, self.wrong, self.edges = np.zeros(K), np.ones(K), np.ones(4)
+        self.work = np.empty(14 * terms.points + 8 * (6 + N))
+        self.take([(12, 6, True), (N, N, True), (3 * K, 3 * K, False)])
+
+    def tell(self, const double[::1] right, const double[::1] wrong, const double[::1] edges, double height_sigma):
+        """Set densities of right points (K,), or their weights, those of wrong ones (K,), and the edges' weights (4,)."""
+        if right.shape[0] != self.terms.keypoints or wrong.shape[0] != right.shape[0] or edges.shape[0] != 4:
+            raise ValueError("densities (K,) and weights (4,) are expected")
+        self.right[:], self.wrong[:], self.edges[:] = right, wrong, edges
+        self.height_sigma = height_sigma if self.on_ground else 0.0
+
+    def see(self, const double[::1] visibility, const double[::1] edges, double depth):
+        """Set the visibility (K,) and with it all densities, the edges' weights (4,), and the depth of the ground."""
+        cdef int k
+        if not self.judged:
+            raise ValueError("bind the observation by `search_by` first")
+        if visibility.shape[0] != self.terms.keypoints or edges.shape[0] != 4:
+            raise ValueError("visibility (K,) and weights (4,) are expected")
+        self.visibility[:], self.edges[:] = visibility, edges
+        for k in range(self.terms.keypoints):
+            self.terms.densities(k, visibility[k], &self.right[k], &self.wrong[k])
+        if self.on_ground:
+            self.height_sigma = self.terms.height_sigma_at(depth)
+
+    cdef void judge(self, const double **at, bint look, double *found) noexcept nogil:
+        """Weights (K,), visibility (K,), weights of edges (4,), depth that the ground's uncertainty belongs to."""
+        cdef int K = self.terms.keypoints
+        cdef double energies[2]
+        self.terms.judge(
+            at[0], at[0] + 9, at[1], at[2], &self.visibility[0], look, found, &self.right[0], &self.wrong[0],
+            &self.edges[0], &self.work[0], energies
+        )
+        memcpy(found + K, &self.visibility[0], K * sizeof(double))
+        memcpy(found + 2 * K, &self.edges[0], 4 * sizeof(double))
+        found[2 * K + 4] = at[0][11]
+        if look and self.on_ground:
+            self.height_sigma = self.terms.height_sigma_at(at[0][11])
+
+    cdef double fill(self, const double **at, double *r, double *J) noexcept nogil:
+        cdef double energy, nearest, root = sqrt(self.share)
+        cdef int i, form = self.form if J != NULL or self.form == WEIGHTED else LOSS
+        nearest = self.terms.graph_rows(
+            at[0], at[0] + 9, at[1], at[2], &self.right[0], &self.wrong[0], &self.edges[0], self.height_sigma, form,
+            &self.work[0], r, J, &energy
+        )
+        if not (SHALLOW < nearest < INFINITY):  # behind the camera, or infinitely far, there is no residual
+            for i in range(self.rows):
+                r[i] = INFINITY
+            if J != NULL:
+                memset(J, 0, self.rows * self.columns * sizeof(double))
+            return INFINITY
+        if self.share != 1.0:
+            for i in range(self.rows):
+                r[i] *= root
+            if J != NULL:
+                for i in range(self.rows * self.columns):
+                    J[i] *= root
+        return self.share * energy
 
 
 cdef double evaluate(
@@ -661,7 +750,7 @@ cdef double evaluate(
             energy += 0.5 * r[0] * r[0]
             add(J, D, r[0], 1.0, g, M, D)
     if terms.has_ground:
-        sigma = sqrt(terms.height_sigma * terms.height_sigma + terms.slope_sigma * terms.slope_sigma * t[2] * t[2])
+        sigma = terms.height_sigma_at(t[2])
         terms.ground(R, t, sigma, r, turn, shift)
         energy += log(sigma)
         for i in range(4):

@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import finite_array, unit_vector
 from factors.ground import ground_rows
-from factors.guard import Evaluation, guarded_factor
+from factors.guard import CompiledRows, Evaluation, guarded_factor
+from factors.native import native
 from factors.noise import Noise
 
 Array = NDArray[np.float64]
@@ -88,8 +89,10 @@ def contact_factor(pose_key: int, ground_key: int, frame: GroundFrame, noise: No
     Raises:
         InvalidInputError: The noise model has another dimension.
     """
-    callback = _Contact(pose_key, ground_key, frame)
-    return guarded_factor("contact", noise, (pose_key, ground_key), (6, 3), 4, callback)
+    keys, kernel, compiled = (pose_key, ground_key), native("factors._rows"), None
+    if kernel is not None:
+        compiled = CompiledRows(kernel.Contact(frame.normal, frame.distance, frame.across), keys)
+    return guarded_factor("contact", noise, keys, (6, 3), 4, _Contact(*keys, frame), compiled=compiled)
 
 
 @dataclass(frozen=True, slots=True)

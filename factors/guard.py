@@ -31,6 +31,30 @@ Evaluation = tuple[NDArray[np.float64], NDArray[np.float64] | None]
 Callback = Callable[[gtsam.Values, bool], Evaluation]
 """Evaluates a residual at the values; the flag says whether the Jacobian is wanted."""
 
+
+@dataclass(frozen=True, slots=True)
+class CompiledRows:
+    """The rows of a callback, compiled.
+
+    Attributes:
+        source: What has them, a `factors._rows.Source`.
+        variables: Of each variable that it takes the key, or its value where it is a constant, or None where there is
+            none.
+    """
+
+    source: Any
+    variables: tuple[int | NDArray[np.float64] | None, ...]
+
+
+class CompiledFactor(gtsam.CustomFactor):
+    """A factor that is compiled as well: `factors.system` linearises it without its callback."""
+
+    def __init__(self, noise: Any, keys: Sequence[int], callback: Any, compiled: CompiledRows) -> None:
+        """Make the factor."""
+        super().__init__(noise, keys, callback)
+        self.compiled = compiled
+
+
 _FLOAT = np.dtype(np.float64)
 _INFINITY = float("inf")
 _dot = np.vdot
@@ -45,6 +69,7 @@ def guarded_factor(
     callback: Callback,
     *,
     allow_infinite: bool = False,
+    compiled: CompiledRows | None = None,
 ) -> gtsam.CustomFactor:
     """Wrap a callback into a GTSAM factor whose every evaluation is checked.
 
@@ -57,6 +82,7 @@ def guarded_factor(
         callback: Evaluates residual and Jacobian.
         allow_infinite: Whether the residual may be infinite, so that Levenberg-Marquardt rejects the step. NaN never is
             allowed, nor is an infinite Jacobian.
+        compiled: The same rows compiled, before the noise model whitens them; None where they are not.
 
     Returns:
         The factor. Evaluating it raises `FactorCallbackError` where the callback returns a wrong shape or type, or
@@ -72,7 +98,10 @@ def guarded_factor(
         raise InvalidInputError(f"{name}.dims", (tuple(dims), rows), "Give one positive dimension per key.")
     blocks = tuple(slice(a, b) for a, b in pairwise(accumulate(dims, initial=0)))
     guard = _Guard(name, callback, (rows,), (rows, sum(dims)), blocks, len(blocks) == 1, allow_infinite)
-    return gtsam.CustomFactor(as_noise(name, noise, rows), list(keys), guard)
+    model = as_noise(name, noise, rows)
+    if compiled is None:
+        return gtsam.CustomFactor(model, list(keys), guard)
+    return CompiledFactor(model, list(keys), guard, compiled)
 
 
 @dataclass(frozen=True, slots=True)

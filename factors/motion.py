@@ -25,7 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
-from factors.guard import Evaluation, guarded_factor
+from factors.guard import CompiledRows, Evaluation, guarded_factor
+from factors.native import native
 from factors.noise import Noise
 
 Array = NDArray[np.float64]
@@ -73,8 +74,9 @@ def motion_factor(
     if step <= 0.0:
         raise InvalidInputError("motion.seconds", seconds, "Give images in the order of time.")
     camera = gtsam.Pose3() if camera_motion is None else camera_motion
-    callback = _Motion(pose_key, velocity_key, next_key, step, camera)
-    return guarded_factor("motion", noise, (pose_key, velocity_key, next_key), (6, 3, 6), 6, callback)
+    keys, kernel = (pose_key, velocity_key, next_key), native("factors._rows")
+    compiled = None if kernel is None else CompiledRows(kernel.Motion(step, camera.matrix()), keys)
+    return guarded_factor("motion", noise, keys, (6, 3, 6), 6, _Motion(*keys, step, camera), compiled=compiled)
 
 
 def drive_factor(velocity_key: int, noise: Noise, least_radius: float | None = None) -> gtsam.CustomFactor:
@@ -93,7 +95,11 @@ def drive_factor(velocity_key: int, noise: Noise, least_radius: float | None = N
     """
     if least_radius is not None and not float(finite_array("drive.least_radius", least_radius, ())) > 0.0:
         raise InvalidInputError("drive.least_radius", least_radius, "Give a radius above zero, or None.")
-    return guarded_factor("drive", noise, (velocity_key,), (3,), 3, _Drive(velocity_key, least_radius))
+    kernel, compiled = native("factors._rows"), None
+    if kernel is not None:
+        compiled = CompiledRows(kernel.Drive(least_radius or np.nan, _CRAWL), (velocity_key,))
+    callback = _Drive(velocity_key, least_radius)
+    return guarded_factor("drive", noise, (velocity_key,), (3,), 3, callback, compiled=compiled)
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,12 +24,13 @@ from factors.box import OUTWARD, BoxRows, crease_rows, projected_extents
 from factors.checks import finite_array
 from factors.errors import DegenerateProblemError, InvalidInputError
 from factors.ground import GroundRows
-from factors.guard import Evaluation, guarded_factor
+from factors.guard import CompiledRows, Evaluation, guarded_factor
 from factors.keypoint_rows import SMALLEST_WEIGHT, KeypointRows, whiteners
 from factors.losses import RobustLoss
 from factors.mixture import Form, robust_rows
 from factors.projection import SHALLOWEST
 from factors.projection_kernel import ProjectionKernel
+from factors.system import packed_pose
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ class ObservationRows:
         box: The box, or None.
         outline: Projects the points whose extents the box encloses; of the same pose and lambda.
         ground: The ground, or None.
-        compiled: The same as `factors._energy.Observation`, or None; it knows one focal length.
+        compiled: The same as `factors._energy.ImageRows`, or None; it knows one focal length.
         share: Factor on the energy of all rows.
         form: How the mixtures are handed to the solver.
         right: (K,) densities of right points, or their weights (`Form.WEIGHTED`); 0 for points that were not measured.
@@ -100,11 +101,28 @@ class ObservationRows:
             terms["ground"] = slice(size + 4, size + 8), (kernel.pose_key,)
         return terms
 
+    @property
+    def compiled_rows(self) -> CompiledRows | None:
+        """The compiled rows with their variables."""
+        if self.compiled is None:
+            return None
+        pose = self.kernel.bound
+        return CompiledRows(
+            self.compiled, (pose if isinstance(pose, int) else packed_pose(pose), *self.kernel.shape.bound)
+        )
+
+    def tell(self) -> None:
+        """Set what is set here on the compiled rows, where there are any."""
+        if self.compiled is not None:
+            self.compiled.form = int(self.form)
+            self.compiled.tell(self.right, self.wrong, self.edge_weights, self.height_sigma)
+
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         """The rows at the values; an infinite residual where a keypoint is behind the camera, or infinitely far."""
+        if self.compiled is not None:
+            return self._by_kernel(values, want_jacobian)
         form = self.form if want_jacobian or self.form is Form.WEIGHTED else Form.LOSS
-        evaluate = self._by_numpy if self.compiled is None else self._by_kernel
-        nearest, residual, jacobian = evaluate(values, form, want_jacobian)
+        nearest, residual, jacobian = self._by_numpy(values, form, want_jacobian)
         if not SHALLOWEST < nearest < np.inf:
             return np.full(self.rows, np.inf), None if jacobian is None else np.zeros_like(jacobian)
         if self.robust is not None:
@@ -115,27 +133,16 @@ class ObservationRows:
                 jacobian *= self.share**0.5
         return residual, jacobian
 
-    def _by_kernel(self, values: gtsam.Values, form: Form, want: bool) -> tuple[float, Array, Array | None]:
-        shape, pose = self.kernel.shape, self.kernel.pose(values)
+    def _by_kernel(self, values: gtsam.Values, want: bool) -> Evaluation:
+        shape = self.kernel.shape
         residual = np.empty(self.rows)
         jacobian = np.empty((self.rows, self._width)) if want else None
-        nearest = self.compiled.rows_at(
-            pose,
-            shape.coefficients(values),
-            shape.offsets(values),
-            self.right,
-            self.wrong,
-            self.edge_weights,
-            self.height_sigma,
-            int(form),
-            residual,
-            jacobian,
-        )
-        if self.ground is None:  # or a constant: nothing is said of it at a fixed pose
-            residual[-8:-4] = 0.0
+        self.tell()
+        variables = (packed_pose(self.kernel.pose(values)), shape.coefficients(values), shape.offsets(values))
+        self.compiled.evaluate(variables, residual, jacobian)
         if jacobian is not None and self._columns is not None:
             jacobian = jacobian[:, self._columns]
-        return nearest, residual, jacobian
+        return residual, jacobian
 
     @np.errstate(invalid="ignore")  # infinitely far there is no direction
     def _by_numpy(self, values: gtsam.Values, form: Form, want: bool) -> tuple[float, Array, Array | None]:
@@ -206,7 +213,16 @@ def observation_factor(rows: ObservationRows) -> gtsam.CustomFactor:
         InvalidInputError: Pose and shape are both constants.
     """
     kernel = rows.kernel
-    return guarded_factor("observation", 1.0, kernel.keys, kernel.dims, rows.rows, rows, allow_infinite=True)
+    return guarded_factor(
+        "observation",
+        1.0,
+        kernel.keys,
+        kernel.dims,
+        rows.rows,
+        rows,
+        allow_infinite=True,
+        compiled=rows.compiled_rows,
+    )
 
 
 def term_factor(rows: ObservationRows, name: str) -> gtsam.CustomFactor:

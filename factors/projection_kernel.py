@@ -111,6 +111,14 @@ class ProjectionKernel:
         self._last = stamp, last
         return last
 
+    @property
+    def bound(self) -> int | Array:
+        """The pose's key, or (4, 4) where it is a constant."""
+        if self.pose_key is not None:
+            return self.pose_key
+        assert self._pose is not None
+        return self._pose
+
     def pose(self, values: gtsam.Values) -> Array:
         """(4, 4) camera_T_object at the values."""
         if self.pose_key is None:

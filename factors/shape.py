@@ -93,6 +93,12 @@ class LinearShape:
         """Number of keypoints K."""
         return len(self.mean)
 
+    @property
+    def bound(self) -> tuple[int | NDArray[np.float64], int | NDArray[np.float64] | None]:
+        """Lambda and the offsets: each by its key, or its value where it is a constant; None for no offsets."""
+        coefficients = self._coefficients if self.coefficients_key is None else self.coefficients_key
+        return coefficients, self._offsets if self.offsets_key is None else self.offsets_key
+
     def coefficients(self, values: gtsam.Values) -> NDArray[np.float64]:
         """(N,) lambda at the values."""
         if self.coefficients_key is None:

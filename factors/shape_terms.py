@@ -13,19 +13,18 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.guard import Evaluation, guarded_factor
+from factors.guard import CompiledRows, Evaluation, guarded_factor
 from factors.keys import M
-from factors.planes import tangent_basis
 from factors.rectangularity import rectangles
 from factors.shape_factor import ShapeContext
+from factors.system import packed_plane
 
 Array = NDArray[np.float64]
 
 STACKED = ("symmetry", "rectangularity", "dimensions")
 """Terms that the kernel has."""
 
-_MEDIAL = np.array([0.0, 0.0, 1.0, 0.0])
-_NO_TANGENT = np.zeros((3, 2))
+_MEDIAL = np.array([0.0, 0.0, 1.0, *np.zeros(7)])
 
 
 class ShapeTerms:
@@ -88,7 +87,9 @@ class ShapeTerms:
 
     def factor(self) -> gtsam.CustomFactor:
         """The factor."""
-        return guarded_factor("shape terms", 1.0, self._keys, self._dims, self._rows, self)
+        shape, plane = self._shape, _MEDIAL if self._plane_key is None else self._plane_key
+        compiled = CompiledRows(self._compiled, (*shape.bound, plane))
+        return guarded_factor("shape terms", 1.0, self._keys, self._dims, self._rows, self, compiled=compiled)
 
     def energies(self, values: gtsam.Values) -> Iterator[tuple[str, float]]:
         """Name and energy of each term at the values, nats."""
@@ -98,17 +99,11 @@ class ShapeTerms:
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         """The rows at the values."""
-        plane, tangent = _MEDIAL, _NO_TANGENT
-        if self._plane_key is not None:
-            medial = values.atOrientedPlane3(self._plane_key)
-            plane = medial.planeCoefficients()
-            if want_jacobian:
-                tangent = tangent_basis(medial)
+        plane = _MEDIAL if self._plane_key is None else packed_plane(values.atOrientedPlane3(self._plane_key))
         residual = np.empty(self._rows)
         jacobian = np.empty((self._rows, self._width)) if want_jacobian else None
-        self._compiled.rows_at(
-            self._shape.coefficients(values), self._shape.offsets(values), plane, tangent, residual, jacobian
-        )
+        variables = (self._shape.coefficients(values), self._shape.offsets(values), plane)
+        self._compiled.evaluate(variables, residual, jacobian)
         if jacobian is not None and self._columns is not None:
             jacobian = jacobian[:, self._columns]
         return residual, jacobian

@@ -1,5 +1,7 @@
 """The factor of a whole observation: compiled as in numpy, as its terms' factors, and with numeric derivatives."""
 
+import copy
+
 import gtsam
 import numpy as np
 import pytest
@@ -96,6 +98,7 @@ class Case:
                 else None,
                 (NORMAL, 1.6, 0.1, 0.0, 0.03) if ground else None,
             )
+            seen = KERNEL.ImageRows(seen, 0.7, pose_free)
         self.rows = ObservationRows(
             self.kernel,
             KeypointRows(self.pixels, self.whitener),
@@ -238,10 +241,20 @@ def test_arrays_that_do_not_fit_are_refused_at_the_border():
     with pytest.raises(ValueError, match="do not belong together"):
         KERNEL.Observation(CAMERA, mean, basis, pixels[:3], whitener, None, None)
     seen = KERNEL.Observation(CAMERA, mean, basis, pixels, whitener, None, None)
-    arrays = [np.eye(4), np.zeros(2), np.zeros(12), np.ones(4), np.ones(4), np.ones(4), 1.0, 0, np.empty(20), None]
-    seen.rows_at(*arrays)
-    for place, wrong in [(0, np.eye(3)), (1, np.zeros(3)), (2, np.zeros(9)), (3, np.ones(3)), (5, np.ones(3))]:
-        with pytest.raises(ValueError, match=r"expected|number of"):
-            seen.rows_at(*arrays[:place], wrong, *arrays[place + 1 :])
+    rows = KERNEL.ImageRows(seen, 1.0, True)  # noqa: FBT003  # a kernel takes no keywords
+    variables, residual = [np.zeros(12), np.zeros(2), np.zeros(12)], np.empty(20)
+    rows.evaluate(variables, residual, None)
+    rows.evaluate([*variables[:2], None], residual, None)
+    for place, wrong in [(0, np.zeros(9)), (1, np.zeros(3)), (2, np.zeros(9)), (0, None)]:
+        with pytest.raises((ValueError, TypeError), match=r"expected|None"):
+            rows.evaluate([*variables[:place], wrong, *variables[place + 1 :]], residual, None)
     with pytest.raises(ValueError, match="Jacobian"):
-        seen.rows_at(*arrays[:9], np.empty((20, 5)))
+        rows.evaluate(variables, residual, np.empty((20, 5)))
+    with pytest.raises(ValueError, match="residual"):
+        rows.evaluate(variables, residual[:8], None)
+    with pytest.raises(ValueError, match="expected"):
+        rows.tell(np.ones(3), np.ones(4), np.ones(4), 1.0)
+    with pytest.raises(ValueError, match="search_by"):
+        rows.see(np.ones(4), np.ones(4), 1.0)
+    with pytest.raises(TypeError, match="cannot be copied"):
+        copy.copy(rows)

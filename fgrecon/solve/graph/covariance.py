@@ -219,13 +219,13 @@ def _given_shape(part: ObservationPart, weights: Weights, values: gtsam.Values, 
     What the graph leaves out of the image is added to the pose's information and to its dependence on the shape;
     factors of the caller's own, and through them other poses, are in the joint covariance.
     """
-    graph = gtsam.NonlinearFactorGraph()
-    for factor in part.solved(weights, Form.WEIGHTED):
-        graph.add(factor)
-    ordering = gtsam.Ordering()
+    assert part.factor is not None
+    part.tell(weights, Form.WEIGHTED)
+    linear, ordering = gtsam.GaussianFactorGraph(), gtsam.Ordering()
+    linear.push_back(part.factor.linearize(values))
     for key in part.kernel.keys:  # the pose first
         ordering.push_back(key)
-    left_out = (1.0 - part.share) / part.share * graph.linearize(values).hessian(ordering)[0]
+    left_out = (1.0 - part.share) / part.share * linear.hessian(ordering)[0]
     shape = joint[6:, 6:]
     by_shape = np.linalg.solve(shape, joint[6:, :6]).T
     information = np.linalg.inv(joint[:6, :6] - by_shape @ joint[6:, :6])

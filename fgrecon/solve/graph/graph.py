@@ -8,8 +8,9 @@ variables: X(v, t), L(v), O(v) of `factors.keys`, vehicles and images numbered f
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from factors import check_in_front
 from factors.keys import F, S, key_name
 from factors.mixture import Form
+from factors.system import System
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
@@ -103,8 +105,7 @@ class Graph:
             InvalidInputError: A factor of the caller's own has a key of no variable.
         """
         self.options: Options = observations[0].problem.options
-        self._built: gtsam.NonlinearFactorGraph | None = None
-        self._observed, self._own = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()  # its two parts
+        self._told: tuple[Sequence[Weights], Form] | None = None  # what the rows have
         self.vehicles: dict[int, VehiclePart] = {}
         self.observations: list[ObservationPart] = []
         counts = Counter(one.vehicle for one in observations)
@@ -201,59 +202,93 @@ class Graph:
             hold: Keep visibility and the ground's uncertainty of all observations.
             held: Indices of observations of which they are kept in any case.
         """
-        return [
-            part.reweigh(values, weights, progress, hold=hold or i in held)
-            for i, (part, weights) in enumerate(zip(self.observations, before, strict=True))
+        looks = [not (hold or i in held) for i in range(len(self.observations))]
+        if not self._judges:
+            return [
+                part.reweigh(values, weights, progress, hold=not look)
+                for part, weights, look in zip(self.observations, before, looks, strict=True)
+            ]
+        form = Form.NEWTON if self._told is None else self._told[1]
+        self._tell(before, form)
+        found = self._system.judge(values, looks)
+        weights = [
+            part.judged(one, None if look else w)
+            for part, one, look, w in zip(self.observations, found, looks, before, strict=True)
         ]
+        self._told = weights, form
+        return weights
+
+    @cached_property
+    def _factors(self) -> list[gtsam.NonlinearFactor]:
+        """All factors, as the solver gets them."""
+        own = [factor for vehicle in self.vehicles.values() for factor in vehicle.solved]
+        return [*(part.factor for part in self.observations if part.factor is not None), *own, *self.extra]
+
+    @cached_property
+    def _system(self) -> System:
+        return System(self._factors)
+
+    @cached_property
+    def _judges(self) -> bool:
+        return all(part.judges for part in self.observations)
+
+    def _tell(self, weights: Sequence[Weights], form: Form) -> None:
+        """Set weights, unless they are set."""
+        if self._told is not None and self._told[0] is weights and self._told[1] is form:
+            return
+        for part, weight in zip(self.observations, weights, strict=True):
+            if self._judges:
+                part.see(weight, form)
+            else:
+                part.tell(weight, form)
+        self._told = weights, form
+
+    def linearise(
+        self, values: gtsam.Values, weights: Sequence[Weights], form: Form
+    ) -> tuple[gtsam.GaussianFactorGraph, Callable[[], float]]:
+        """The linear graph at values, and what tells their energy as `error` has it, nats.
+
+        Args:
+            values: Where.
+            weights: Weights of each observation.
+            form: How a mixture is handed to the solver: with these weights, or with its loss and curvature.
+        """
+        self._tell(weights, form)
+        linear, compiled = self._system.linearise(values)
+        return linear, lambda: compiled + self._system.others_error(values)
+
+    def error(self, values: gtsam.Values) -> float:
+        """Energy of all factors with the weights that were set last, nats: what a step is judged by.
+
+        It differs from the sum of the terms' by what does not change as long as visibility does not.
+        """
+        return self._system.error(values)
 
     def build(self, weights: Sequence[Weights], form: Form = Form.WEIGHTED) -> gtsam.NonlinearFactorGraph:
-        """All factors, as the solver gets them; graphs built before are not to be used any more.
+        """All factors as GTSAM has them, with these weights until others are set.
 
         Args:
             weights: Weights of each observation.
             form: How a mixture is handed to the solver: with these weights, or with its loss and curvature.
         """
-        pairs = zip(self.observations, weights, strict=True)
-        observed = [factor for part, weight in pairs for factor in part.solved(weight, form)]
-        if self._built is not None and self.is_robust:
-            return self._built  # the same factors, which know what has changed
-        own = [factor for vehicle in self.vehicles.values() for factor in vehicle.solved]
-        self._built, self._observed, self._own = (gtsam.NonlinearFactorGraph() for _ in range(3))
-        for factor in observed:
-            self._observed.add(factor)
-        for factor in [*own, *self.extra]:
-            self._own.add(factor)
-        self._built.push_back(self._observed)
-        self._built.push_back(self._own)
-        return self._built
+        return self._built(self._factors, weights, form)
 
-    def observed_error(self, values: gtsam.Values, weights: Sequence[Weights] | None = None) -> float:
-        """Error of the observations' factors, as the graph that was built last has them, nats.
-
-        Args:
-            values: Where.
-            weights: Those that it was built with, where they were made at these values: they know most of it.
-        """
-        if weights is None:
-            return float(self._observed.error(values))
-        return sum(part.loss(values, weight) for part, weight in zip(self.observations, weights, strict=True))
-
-    def own_error(self, values: gtsam.Values) -> float:
-        """Error of all other factors of that graph, which no weights change, nats."""
-        return float(self._own.error(values))
+    def _built(
+        self, factors: Iterable[gtsam.NonlinearFactor], weights: Sequence[Weights], form: Form
+    ) -> gtsam.NonlinearFactorGraph:
+        self._told = None
+        for part, weight in zip(self.observations, weights, strict=True):
+            part.tell(weight, form)
+        graph = gtsam.NonlinearFactorGraph()
+        for factor in factors:
+            graph.add(factor)
+        return graph
 
     def for_covariances(self, weights: Sequence[Weights]) -> gtsam.NonlinearFactorGraph:
         """All factors with these weights, sizes counted once (`VehiclePart.counted_once`)."""
-        graph = gtsam.NonlinearFactorGraph()
-        for part, weight in zip(self.observations, weights, strict=True):
-            for factor in part.solved(weight, Form.WEIGHTED):
-                graph.add(factor)
-        for vehicle in self.vehicles.values():
-            for factor in vehicle.counted_once:
-                graph.add(factor)
-        for factor in self.extra:
-            graph.add(factor)
-        return graph
+        once = [factor for vehicle in self.vehicles.values() for factor in vehicle.counted_once]
+        observed = [part.factor for part in self.observations if part.factor is not None]
+        return self._built([*observed, *once, *self.extra], weights, Form.WEIGHTED)
 
     def terms(self, weights: Sequence[Weights]) -> Iterator[tuple[str, list[gtsam.NonlinearFactor]]]:
         """Name and factors of each term, observation by observation, then vehicle by vehicle, then the extra ones."""

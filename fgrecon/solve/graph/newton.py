@@ -82,7 +82,6 @@ class Descent:
         self._lengths = (np.inf, np.inf)  # of the last two steps
         self._damping = SETTINGS.first_damping
         self._form = Form.NEWTON
-        self._own: tuple[gtsam.Values | None, float] = (None, 0.0)  # error of factors that no weights change, and where
         self._still = False  # whether the last damped step moved nothing
         self._in_vain = 0  # damped steps, one after the other, that gained a negligible energy
         self._swinging = _Swinging(len(start.weights))
@@ -173,9 +172,8 @@ class Descent:
 
     def _step(self, steps: Anderson) -> bool | None:
         """A step that does not raise the energy, and whether it was the last; None where there is none."""
-        built = self.graph.build(self.weights, self._form)
         try:
-            linear = built.linearize(self.values)
+            linear, energy_here = self.graph.linearise(self.values, self.weights, self._form)
             if self._ordering is None:
                 self._ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
             newton = linear.optimize(self._ordering)
@@ -186,29 +184,20 @@ class Descent:
         step = newton.vector()
         length = float(np.abs(step).max(initial=0.0))
         last = self._is_last(length)
-        unseen = (
-            last and self._steady <= NEWTON.steady_together
-        )  # so near the end nobody asks what it does to the energy
+        # So near the end nobody asks what it does to the energy.
+        unseen = last and self._steady <= NEWTON.steady_together
         rise = NEWTON.negligible_rise
-        energy = np.inf if unseen else self._error() * (1.0 + rise) + rise
+        energy = np.inf if unseen else energy_here() * (1.0 + rise) + rise
         further = steps.propose(step)
         if further is not None and np.abs(further).max() > NEWTON.longest_step * length:
             further = None
         for proposed in self._tries(step, further):
             moved = self.values.retract(newton if proposed is step else self._by_key(newton, proposed))
-            own = 0.0 if unseen else self.graph.own_error(moved)
-            if unseen or self.graph.observed_error(moved) + own <= energy:
+            if unseen or self.graph.error(moved) <= energy:
                 steps.took(proposed)
-                self.values, self._own, self._still = moved, (None if unseen else moved, own), False
+                self.values, self._still = moved, False
                 return last
         return None
-
-    def _error(self) -> float:
-        """Of the graph as it was built last, where it is: half of it is known from the step that led there."""
-        at, own = self._own
-        if at is not self.values:
-            own = self.graph.own_error(self.values)
-        return self.graph.observed_error(self.values, self.weights) + own
 
     def _tries(self, step: Array, further: Array | None) -> Iterator[Array]:
         """Steps in the order in which they are tried: an accelerated one, the plain one, a shorter one."""

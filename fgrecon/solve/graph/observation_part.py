@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -21,6 +22,7 @@ from factors import F, ObservationRows, ProjectionKernel, X, observation_factor,
 from factors.box import projected_extents
 from factors.keypoint_rows import SMALLEST_WEIGHT
 from factors.mixture import Form
+from factors.native import native
 from fgrecon.core.camera import Camera
 from fgrecon.core.robust import StrategyName
 from fgrecon.solve.graph.vehicle_part import VehiclePart
@@ -55,21 +57,17 @@ class _Assessed:
         values: The state.
         visibility: (K,) visibility it was assessed with.
         looked_up: Whether that is the visibility of its pose.
-        densities: (K,) of right points and (K,) of wrong ones.
         keypoints: (K,) weights.
         box: (4,) weights of the box's edges.
         energies: Of keypoints and box, nats.
-        loss: What `factors.mixture.Form.LOSS` makes of both, nats.
     """
 
     values: gtsam.Values
     visibility: Array
     looked_up: bool
-    densities: tuple[Array, Array]
     keypoints: Array
     box: Array
     energies: tuple[float, float]
-    loss: float
 
     def answers(self, visibility: Array | None) -> bool:
         """Whether it was assessed with a visibility, or with None with that of its pose."""
@@ -86,7 +84,6 @@ class ObservationPart:
         share: Factor on the energy of all its terms.
         pose_key: Key of camera_T_object, or None where it is a constant.
         kernel: Projection of the keypoints.
-        compiled: The compiled rows; None where there are none, or the focal length is a variable.
         rows: The rows of all terms; None where pose and shape are constants.
     """
 
@@ -122,22 +119,23 @@ class ObservationPart:
         self._outline = None
         if box is not None:
             self._outline = ProjectionKernel(vehicle.enclosed(box.mean, box.basis), matrix, bound, focal)
-        self.compiled = problem.energy.compiled if focal is None else None
+        self._compiled = problem.energy.compiled if focal is None else None
         self._strategy = problem.energy.keypoints.strategy
         self._mixture = self._strategy.name is StrategyName.MIXTURE
-        self._factor: gtsam.CustomFactor | None = None
         self._last: _Assessed | None = None
         self.rows = self._all_rows() if self.kernel.keys else None
 
     def _all_rows(self) -> ObservationRows:
-        energy = self.problem.energy
+        energy, image, kernel = self.problem.energy, None, native("factors._energy")
+        if self._compiled is not None and kernel is not None:
+            image = kernel.ImageRows(self._compiled, self.share, self.pose_key is not None)
         return ObservationRows(
             self.kernel,
             energy.keypoints.rows,
             box=None if energy.box is None else energy.box.rows,
             outline=self._outline,
             ground=None if energy.ground is None or self.pose_key is None else energy.ground.rows,
-            compiled=self.compiled,
+            compiled=image,
             share=self.share,
             robust=None if self._strategy.loss is None else self._strategy.robust_loss,
         )
@@ -147,8 +145,13 @@ class ObservationPart:
         """Whether the factor that is solved has the robust loss inside, so that one solve finds its minimum."""
         return self._mixture and self.rows is not None
 
-    def solved(self, weights: Weights, form: Form = Form.NEWTON) -> list[gtsam.NonlinearFactor]:
-        """The factor of all terms as the solver gets it: the same one whatever the weights, which are set on it.
+    @cached_property
+    def factor(self) -> gtsam.CustomFactor | None:
+        """The factor of all terms as the solver gets it, the same one whatever it is told; None of constants."""
+        return None if self.rows is None else observation_factor(self.rows)
+
+    def tell(self, weights: Weights, form: Form = Form.NEWTON) -> None:
+        """Set the weights of the factor.
 
         Args:
             weights: The weights; of the mixture those are used that `form` says.
@@ -156,20 +159,33 @@ class ObservationPart:
         """
         rows, ground = self.rows, self.problem.energy.ground
         if rows is None:
-            return []
+            return
         term = self.problem.energy.keypoints
         rows.form, rows.edge_weights = form if self._mixture else Form.WEIGHTED, weights.box
         if rows.form is Form.WEIGHTED:
             rows.right = self.graph_weights(weights)
-        elif self._last is not None and self._last.visibility is weights.visibility:
-            rows.right, rows.wrong = self._last.densities
         else:
             rows.right, rows.wrong = self._strategy.densities(term.evidence, weights.visibility)
         if ground is not None:
             rows.height_sigma = ground.ground.height_sigma_at_depth(weights.depth)
-        if self._factor is None:
-            self._factor = observation_factor(rows)
-        return [self._factor]
+        rows.tell()
+
+    @property
+    def judges(self) -> bool:
+        """Whether the compiled rows find the weights themselves."""
+        return self.is_robust and self._compiled is not None
+
+    def see(self, weights: Weights, form: Form) -> None:
+        """The same as `tell` for the compiled rows alone, where they judge."""
+        assert self.rows is not None
+        self.rows.compiled.form = int(form)
+        self.rows.compiled.see(weights.visibility, weights.box, weights.depth)
+
+    def judged(self, found: Array, before: Weights | None) -> Weights:
+        """Weights by what the compiled rows found (`factors._energy.ImageRows.judge`), at those before where given."""
+        count = self.vehicle.shape.size
+        depth = float(found[-1]) if before is None else before.depth
+        return Weights(found[:count], found[count:-5], found[-5:-1], depth)
 
     def pose(self, values: gtsam.Values) -> gtsam.Pose3:
         """camera_T_object at the values."""
@@ -198,7 +214,7 @@ class ObservationPart:
         """The same rows as a factor of their own for each energy term that says something under the weights."""
         if self.rows is None:
             return {}
-        self.solved(weights, Form.WEIGHTED)
+        self.tell(weights, Form.WEIGHTED)
         rows, box = copy(self.rows), self.problem.energy.box
         silent = set()
         if not (rows.right >= SMALLEST_WEIGHT).any():
@@ -221,18 +237,6 @@ class ObservationPart:
             terms["direction"] = self.share * float(energy.direction.energy(self._hypothesis(values))[0])
         return terms
 
-    def loss(self, values: gtsam.Values, weights: Weights) -> float:
-        """Error of the factor that `solved` set the weights of, nats: at the values where these were made for nothing.
-
-        It is what a step is judged by, and differs from the energy by what does not change as long as visibility does
-        not.
-        """
-        loss = self._assess(values, weights.visibility).loss
-        ground = self.problem.energy.ground
-        if ground is not None and self.pose_key is not None:
-            loss += self._off_ground(values, ground.ground.height_sigma_at_depth(weights.depth))
-        return self.share * loss
-
     def _off_ground(self, values: gtsam.Values, sigma: float) -> float:
         """Half the squared deviation from the ground, whose height is known to sigma metres there."""
         assert self.problem.energy.ground is not None
@@ -250,12 +254,11 @@ class ObservationPart:
         last = self._last
         if self._mixture and last is not None and last.values is values and last.answers(visibility):
             return last
-        if self.compiled is not None:
+        if self._compiled is not None:
             shape, visible = self.vehicle.shape, np.empty(self.vehicle.shape.size) if visibility is None else visibility
-            weights, right, wrong, edges, *energies, loss = self.compiled.assess(
+            weights, _, _, edges, *energies = self._compiled.assess(
                 self.kernel.pose(values), shape.coefficients(values), shape.offsets(values), visible, visibility is None
             )
-            densities = right, wrong
         else:
             energy, term, box = self.problem.energy, self.problem.energy.keypoints, self.problem.energy.box
             visible = energy.visibility(self.kernel.pose(values)[None])[0] if visibility is None else visibility
@@ -263,16 +266,12 @@ class ObservationPart:
             weights, robust = term.strategy.evaluate(
                 squares, term.evidence, visible, previous=previous, progress=progress
             )
-            edges, losses, box_energy = np.zeros(4), np.zeros(4), np.zeros(())
+            edges, box_energy = np.zeros(4), np.zeros(())
             if box is not None and self._outline is not None:
                 extents = projected_extents(self._outline, values, box.rows.softness)[0]
-                edges, losses, box_energy = box.rows.assess(box.rows.residual(extents))
+                edges, _, box_energy = box.rows.assess(box.rows.residual(extents))
             energies = [float(robust), float(box_energy)]
-            densities = term.strategy.densities(term.evidence, visible)
-            loss = energies[0] + float(np.log(sum(densities)).sum() + losses.sum()) if self._mixture else math.nan
-        self._last = _Assessed(
-            values, visible, visibility is None, densities, weights, edges, (energies[0], energies[1]), loss
-        )
+        self._last = _Assessed(values, visible, visibility is None, weights, edges, (energies[0], energies[1]))
         return self._last
 
     def camera(self, values: gtsam.Values) -> Camera:

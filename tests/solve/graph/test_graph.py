@@ -87,16 +87,24 @@ def test_each_term_is_the_independent_one(case):
         assert value == pytest.approx(theirs[name], rel=1e-9, abs=1e-12)
 
 
-def test_what_a_step_is_judged_by_is_the_error_of_what_was_built(case):
-    """Whether the kernel knows it from the weights or GTSAM asks every factor; wherever visibility was looked at."""
+def test_the_compiled_linear_graph_and_error_are_those_of_what_is_built(case):
+    """Whatever form it has, and wherever visibility was looked at."""
     graph, values = case.graph, case.values
+    ordering = gtsam.Ordering()
+    for key in values.keys():  # noqa: SIM118  # a key vector
+        ordering.push_back(key)
     for hold in (False, True):
         weights = graph.reweigh(values, [case.weights], 1.0, hold=hold)
-        built = graph.build(weights, Form.NEWTON)
-        told = graph.observed_error(values, weights)
-        assert told == pytest.approx(graph.observed_error(values), rel=1e-12)
-        assert told + graph.own_error(values) == pytest.approx(built.error(values), rel=1e-12)
-        values = values.retract(built.linearize(values).optimize())
+        for form in (Form.NEWTON, Form.MAJORISED):
+            linear, energy = graph.linearise(values, weights, form)
+            moved = values.retract(linear.optimize())
+            told = energy(), graph.error(moved)
+            built = graph.build(weights, form)
+            assert told == pytest.approx((built.error(values), built.error(moved)), rel=1e-12)
+            mine, theirs = linear.hessian(ordering), built.linearize(values).hessian(ordering)
+            for matrix, other in zip(mine, theirs, strict=True):
+                np.testing.assert_allclose(matrix, other, atol=1e-12 * np.abs(other).max())
+        values = moved
 
 
 def test_the_optimum_is_scipys(case):

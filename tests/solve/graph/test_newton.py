@@ -157,6 +157,7 @@ def test_one_image_that_swings_is_held_and_the_others_follow_their_poses(monkeyp
         return look(values, replace(weights, visibility=half), progress, hold=True)
 
     monkeypatch.setattr(swinging, "reweigh", other_half)
+    monkeypatch.setattr(descent.graph, "_judges", False)  # or the kernel looks
     descent.run()
     assert descent.converged
     assert descent.iterations < newton.NEWTON.followed_iterations

@@ -43,7 +43,7 @@ def test_the_result_tells_the_noise_of_its_graph(strategy, covariance):
     found = solve(problem, start)
     (result,) = results([GraphObservation(problem)], [start], found.adjusted, {})
     part = found.graph().observations[0]
-    part.solved(found.weights, Form.WEIGHTED)
+    part.tell(found.weights, Form.WEIGHTED)
     used = problem.observation.measured & (result.diagnostics.weights >= SMALLEST_WEIGHT)
     assert used.any()
     blocks = []

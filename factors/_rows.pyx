@@ -1,0 +1,642 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: freethreading_compatible=True
+"""Rows of many factors linearised in one call, and the rows of motion and contact (`factors.motion`, `factors.contact`).
+
+A `Source` has the rows of one factor; `Rows` evaluates any number of them and adds up what a linear factor needs. What
+a variable is handed over as: a pose as R row by row and t (12 numbers), a vector as it is, a plane as normal, distance
+and the tangent basis of its normal row by row (10 numbers).
+"""
+
+from libc.math cimport NAN, cos, isnan, sin, sqrt
+from libc.string cimport memset
+
+import numpy as np
+
+
+cdef class Source:
+    """Rows of a factor.
+
+    Attributes:
+        rows: Number of rows.
+        columns: Of the Jacobian, for one variable after the other.
+        takes: Of each variable the numbers that it is handed over as, its dimension, and whether it must be there.
+        judged: How many numbers it finds out of a state beside; see `judge`.
+    """
+
+    def __reduce__(self):
+        """Pointers into arrays are not copied.
+
+        Raises:
+            TypeError: Always; who holds it makes another.
+        """
+        raise TypeError(f"a compiled {type(self).__name__} cannot be copied or pickled")
+
+    cdef int take(self, list takes) except -1:
+        """Set what it takes: (numbers, dimension, whether it must be there) of each of up to eight variables."""
+        if not 0 < len(takes) <= 8:
+            raise ValueError("up to eight variables are expected")
+        self.takes = tuple(takes)
+        self.columns = sum(dim for _, dim, _ in takes)
+        return 0
+
+    cdef double fill(self, const double **at, double *r, double *J) noexcept nogil:
+        """Fill residual (rows,) and, unless it is NULL, the Jacobian (rows, columns), which is zero on entry.
+
+        Returns:
+            The energy; NaN where it is half the sum of the squares.
+        """
+        return NAN
+
+    cdef void judge(self, const double **at, bint look, double *found) noexcept nogil:
+        """Find (judged,) numbers out of a state, which the rows depend on from then on; with `look` all anew."""
+
+    def evaluate(self, variables, double[::1] residual, double[:, ::1] jacobian):
+        """The same from Python: variables as arrays, None for one that there is not; a Jacobian of None is not wanted."""
+        cdef const double *at[8]
+        cdef const double[::1] one
+        cdef int i
+        if len(variables) != len(self.takes) or residual.shape[0] != self.rows:
+            raise ValueError(f"{len(self.takes)} variables and a residual ({self.rows},) are expected")
+        if jacobian is not None and (jacobian.shape[0] != self.rows or jacobian.shape[1] != self.columns):
+            raise ValueError(f"a Jacobian ({self.rows}, {self.columns}) is expected")
+        for i, (variable, (size, _, needed)) in enumerate(zip(variables, self.takes)):
+            at[i] = NULL
+            if variable is None and not needed:
+                continue
+            one = variable
+            if one.shape[0] != size:
+                raise ValueError(f"variable {i} of {size} numbers is expected, not of {one.shape[0]}")
+            if size:
+                at[i] = &one[0]
+        if jacobian is None:
+            return self.fill(at, &residual[0], NULL)
+        jacobian[:] = 0.0
+        return self.fill(at, &residual[0], &jacobian[0, 0])
+
+
+cdef class Itself(Source):
+    """r = x, of a vector (n,): what a prior about zero is about."""
+
+    def __init__(self, int count):
+        """Bind the size."""
+        self.rows = count
+        self.take([(count, count, True)])
+
+    cdef double fill(self, const double **at, double *r, double *J) noexcept nogil:
+        cdef int i
+        for i in range(self.rows):
+            r[i] = at[0][i]
+            if J != NULL:
+                J[i * self.rows + i] = 1.0
+        return NAN
+
+
+cdef class Drive(Source):
+    """`factors.motion.drive_factor`: of the velocity (3,); the least radius may be NaN for none."""
+
+    cdef double radius, crawl
+
+    def __init__(self, double radius, double crawl):
+        """Bind the radius and the speed by which its limit is rounded off."""
+        self.radius, self.crawl, self.rows = radius, crawl, 3
+        self.take([(3, 3, True)])
+
+    cdef double fill(self, const double **at, double *r, double *J) noexcept nogil:
+        cdef const double *v = at[0]
+        cdef double speed = 1.0, share = 1.0
+        cdef int a
+        for a in range(3):
+            r[a] = v[a]
+        if not isnan(self.radius):
+            speed = sqrt(v[0] * v[0] + self.crawl * self.crawl)
+            share = self.radius / speed
+            r[2] = v[2] * share
+        if J != NULL:
+            J[0] = J[4] = 1.0
+            J[8] = share
+            J[6] = 0.0 if isnan(self.radius) else -r[2] * v[0] / (speed * speed)
+        return NAN
+
+
+cdef class Contact(Source):
+    """`factors.contact.contact_factor`: of a pose and the change (3,) of the ground."""
+
+    cdef double normal[3]
+    cdef double across[6]
+    cdef double distance
+
+    def __init__(self, const double[::1] normal, double distance, const double[:, ::1] across):
+        """Bind the nominal plane (3,), its distance and the directions (2, 3) in which it turns."""
+        cdef int a
+        if normal.shape[0] != 3 or across.shape[0] != 2 or across.shape[1] != 3:
+            raise ValueError("a normal (3,) and two directions (2, 3) are expected")
+        for a in range(3):
+            self.normal[a], self.across[a], self.across[3 + a] = normal[a], across[0, a], across[1, a]
+        self.distance, self.rows = distance, 4
+        self.take([(12, 6, True), (3, 3, True)])
+
+    cdef double fill(self, const double **at, double *r, double *J) noexcept nogil:
+        cdef const double *R = at[0]
+        cdef const double *t = at[0] + 9
+        cdef const double *change = at[1]
+        cdef double n[3]
+        cdef double by[6]
+        cdef double length = 0.0, along
+        cdef int a, b
+        for a in range(3):
+            n[a] = self.normal[a] + change[1] * self.across[a] + change[2] * self.across[3 + a]
+            length += n[a] * n[a]
+        length = sqrt(length)
+        for a in range(3):
+            n[a] /= length
+        r[0] = -self.distance - change[0]
+        for a in range(3):
+            r[0] += n[a] * t[a]
+            r[1 + a] = R[3 * a + 1] - n[a]
+        if J == NULL:
+            return NAN
+        for b in range(2):
+            along = 0.0
+            for a in range(3):
+                along += n[a] * self.across[3 * b + a]
+            for a in range(3):
+                by[3 * b + a] = (self.across[3 * b + a] - n[a] * along) / length
+        for a in range(3):
+            J[3 + a] = n[0] * R[a] + n[1] * R[3 + a] + n[2] * R[6 + a]
+            J[9 * (1 + a)] = R[3 * a + 2]
+            J[9 * (1 + a) + 2] = -R[3 * a]
+            for b in range(2):
+                J[9 * (1 + a) + 7 + b] = -by[3 * b + a]
+        J[6] = -1.0
+        for b in range(2):
+            J[7 + b] = t[0] * by[3 * b] + t[1] * by[3 * b + 1] + t[2] * by[3 * b + 2]
+        return NAN
+
+
+cdef inline void multiply(const double *A, const double *B, int n, int m, int k, double *C) noexcept nogil:
+    """C (n, k) = A (n, m) B (m, k)."""
+    cdef int i, j, l
+    cdef double s
+    for i in range(n):
+        for j in range(k):
+            s = 0.0
+            for l in range(m):
+                s += A[i * m + l] * B[l * k + j]
+            C[i * k + j] = s
+
+
+cdef inline void hat(const double *w, double *W) noexcept nogil:
+    """The matrix (3, 3) of the cross product with w."""
+    W[0] = W[4] = W[8] = 0.0
+    W[1], W[2], W[5] = -w[2], w[1], -w[0]
+    W[3], W[6], W[7] = w[2], -w[1], w[0]
+
+
+cdef double series(double square, int first) noexcept nogil:
+    """sum_k (-1)^k square^k / (first + 2 k)!: of a function of an angle near zero."""
+    cdef double term = 1.0, total
+    cdef int k
+    for k in range(2, first + 1):
+        term /= k
+    total = term
+    for k in range(1, 12):
+        term *= -square / ((first + 2 * k - 1) * (first + 2 * k))
+        total += term
+    return total
+
+
+cdef struct Shares:  # of an angle a: sin a / a, (1 - cos a) / a^2, (a - sin a) / a^3, and the next two
+    double one, two, three, four, five
+
+
+cdef Shares shares(double square) noexcept nogil:
+    cdef Shares s
+    cdef double a = sqrt(square)
+    if square < 1.0:
+        s.one, s.two, s.three = series(square, 1), series(square, 2), series(square, 3)
+        s.four, s.five = series(square, 4), series(square, 5)
+    else:
+        s.one, s.two, s.three = sin(a) / a, (1.0 - cos(a)) / square, (a - sin(a)) / (square * a)
+        s.four, s.five = (0.5 - s.two) / square, (1.0 / 6.0 - s.three) / square
+    return s
+
+
+cdef void turn_and_slide(const double *xi, Shares s, double *R, double *V) noexcept nogil:
+    """R = exp(w) and V (3, 3), the left Jacobian there, of a twist (w, v)."""
+    cdef double W[9]
+    cdef double WW[9]
+    cdef int i
+    hat(xi, W)
+    multiply(W, W, 3, 3, 3, WW)
+    for i in range(9):
+        R[i] = (1.0 if i % 4 == 0 else 0.0) + s.one * W[i] + s.two * WW[i]
+        V[i] = (1.0 if i % 4 == 0 else 0.0) + s.two * W[i] + s.three * WW[i]
+
+
+cdef void coupling(const double *w, const double *v, Shares s, double *Q) noexcept nogil:
+    """How the left Jacobian's lower left block (3, 3) depends on the slide (Barfoot and Furgale 2014, eq. 102)."""
+    cdef double W[9]
+    cdef double U[9]
+    cdef double WU[9]
+    cdef double UW[9]
+    cdef double WUW[9]
+    cdef double WWU[9]
+    cdef double UWW[9]
+    cdef double WUWW[9]
+    cdef double WWUW[9]
+    cdef double last = 0.5 * (s.four - 3.0 * s.five)
+    cdef int i
+    hat(w, W)
+    hat(v, U)
+    multiply(W, U, 3, 3, 3, WU)
+    multiply(U, W, 3, 3, 3, UW)
+    multiply(WU, W, 3, 3, 3, WUW)
+    multiply(W, WU, 3, 3, 3, WWU)
+    multiply(UW, W, 3, 3, 3, UWW)
+    multiply(WUW, W, 3, 3, 3, WUWW)
+    multiply(W, WUW, 3, 3, 3, WWUW)
+    for i in range(9):
+        Q[i] = 0.5 * U[i] + s.three * (WU[i] + UW[i] + WUW[i]) + s.four * (WWU[i] + UWW[i] - 3.0 * WUW[i])
+        Q[i] += last * (WUWW[i] + WWUW[i])
+
+
+cdef void logarithm(const double *R, const double *t, double *xi, double *inverse) noexcept nogil:
+    """The twist (w, v) whose exponential is (R, t), less than half a turn; and J^-1 (3, 3) of its left Jacobian."""
+    cdef double w[3]
+    cdef double W[9]
+    cdef double WW[9]
+    cdef double size, cosine = 0.5 * (R[0] + R[4] + R[8] - 1.0), angle, share, square
+    cdef int i, most
+    w[0], w[1], w[2] = 0.5 * (R[7] - R[5]), 0.5 * (R[2] - R[6]), 0.5 * (R[3] - R[1])
+    size = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    angle = arctangent(size, cosine)
+    if cosine > -0.9:
+        share = 1.0 + size * size / 6.0 if size < 1e-5 else angle / size
+        for i in range(3):
+            xi[i] = share * w[i]
+    else:  # near half a turn the axis is in the symmetric part
+        most = 0 if R[0] >= R[4] and R[0] >= R[8] else (1 if R[4] >= R[8] else 2)
+        for i in range(3):
+            xi[i] = 0.5 * (R[3 * i + most] + R[3 * most + i])
+        xi[most] -= cosine
+        size = sqrt(xi[0] * xi[0] + xi[1] * xi[1] + xi[2] * xi[2])
+        share = angle / size
+        if xi[0] * w[0] + xi[1] * w[1] + xi[2] * w[2] < 0.0:
+            share = -share
+        for i in range(3):
+            xi[i] *= share
+    square = angle * angle
+    share = 1.0 / 12.0 + square / 720.0 + square * square / 30240.0
+    if square > 1e-3:
+        share = (1.0 - 0.5 * angle * sin(angle) / (1.0 - cos(angle))) / square
+    hat(xi, W)
+    multiply(W, W, 3, 3, 3, WW)
+    for i in range(9):
+        inverse[i] = (1.0 if i % 4 == 0 else 0.0) - 0.5 * W[i] + share * WW[i]
+    multiply(inverse, t, 3, 3, 1, xi + 3)
+
+
+cdef extern from "math.h" nogil:
+    double arctangent "atan2"(double y, double x)
+
+
+cdef class Motion(Source):
+    """`factors.motion.motion_factor`: of a pose, a velocity (3,) and the next pose."""
+
+    cdef double seconds
+    cdef double turn[9]
+    cdef double shift[3]
+
+    def __init__(self, double seconds, const double[:, :] camera):
+        """Bind the time and the camera's motion (4, 4)."""
+        cdef int a, b
+        if camera.shape[0] != 4 or camera.shape[1] != 4:
+            raise ValueError("the camera's motion (4, 4) is expected")
+        for a in range(3):
+            self.shift[a] = camera[a, 3]
+            for b in range(3):
+                self.turn[3 * a + b] = camera[a, b]
+        self.seconds, self.rows = seconds, 6
+        self.take([(12, 6, True), (3, 3, True), (12, 6, True)])
+
+    cdef double fill(self, const double **at, double *r, double *J) noexcept nogil:
+        """off = exp(-twist) (X^-1 C X'), r = log(off); see `factors.motion._Motion`."""
+        cdef const double *R = at[0]
+        cdef const double *t = at[0] + 9
+        cdef const double *v = at[1]
+        cdef double A[9]  # of C X', then between X and it
+        cdef double a[3]
+        cdef double B[9]
+        cdef double b[3]
+        cdef double E[9]  # exp(-twist), and its left Jacobian
+        cdef double V[9]
+        cdef double O[9]
+        cdef double o[3]
+        cdef double inverse[9]
+        cdef double twist[6]
+        cdef Shares s
+        cdef int i, j
+        multiply(self.turn, at[2], 3, 3, 3, A)
+        multiply(self.turn, at[2] + 9, 3, 3, 1, a)
+        for i in range(3):
+            a[i] += self.shift[i] - t[i]
+        for i in range(3):
+            b[i] = R[i] * a[0] + R[3 + i] * a[1] + R[6 + i] * a[2]
+            for j in range(3):
+                B[3 * i + j] = R[i] * A[j] + R[3 + i] * A[3 + j] + R[6 + i] * A[6 + j]
+        twist[0] = twist[2] = twist[4] = 0.0
+        twist[1], twist[3], twist[5] = -self.seconds * v[2], -self.seconds * v[0], -self.seconds * v[1]
+        s = shares(twist[1] * twist[1])
+        turn_and_slide(twist, s, E, V)
+        multiply(E, B, 3, 3, 3, O)
+        multiply(E, b, 3, 3, 1, o)
+        multiply(V, twist + 3, 3, 3, 1, a)
+        for i in range(3):
+            o[i] += a[i]
+        logarithm(O, o, r, inverse)
+        if J != NULL:
+            self.differentiate(twist, s, V, B, b, O, o, r, inverse, J)
+        return NAN
+
+    cdef void differentiate(
+        self, const double *twist, Shares s, const double *V, const double *B, const double *b, const double *O,
+        const double *o, const double *r, const double *inverse, double *J
+    ) noexcept nogil:
+        """By the next pose L = J_r(r)^-1; by the pose -L Ad(between^-1); by the velocity -s L Ad(off^-1) J_r(twist)."""
+        cdef double L[36]
+        cdef double M[36]
+        cdef double N[36]
+        cdef double P[9]
+        cdef double Q[9]
+        cdef double u[3]
+        cdef double w[3]
+        cdef double square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
+        cdef int i, j
+        # J_r(r)^-1 = J_l(-r)^-1: (T, 0; -T Q T, T) with T = J_l(-r)^-1 of the turn, the transpose of J_l(r)^-1.
+        for i in range(3):
+            u[i], w[i] = -r[i], -r[3 + i]
+        for i in range(3):
+            for j in range(3):
+                P[3 * i + j] = inverse[3 * j + i]
+        coupling(u, w, shares(square), Q)
+        multiply(P, Q, 3, 3, 3, M)
+        multiply(M, P, 3, 3, 3, Q)
+        memset(L, 0, 36 * sizeof(double))
+        for i in range(3):
+            for j in range(3):
+                L[6 * i + j] = L[6 * (3 + i) + 3 + j] = P[3 * i + j]
+                L[6 * (3 + i) + j] = -Q[3 * i + j]
+                J[15 * i + 9 + j] = J[15 * (3 + i) + 12 + j] = P[3 * i + j]
+                J[15 * (3 + i) + 9 + j] = -Q[3 * i + j]
+        backwards(B, b, M)
+        multiply(L, M, 6, 6, 6, N)
+        for i in range(6):
+            for j in range(6):
+                J[15 * i + j] = -N[6 * i + j]
+        backwards(O, o, M)
+        multiply(L, M, 6, 6, 6, N)
+        # J_r(twist) = J_l(-twist): (V, 0; Q, V) of the negated twist, which `twist` here is.
+        coupling(twist, twist + 3, s, Q)
+        memset(M, 0, 36 * sizeof(double))
+        for i in range(3):
+            for j in range(3):
+                M[6 * i + j] = M[6 * (3 + i) + 3 + j] = V[3 * i + j]
+                M[6 * (3 + i) + j] = Q[3 * i + j]
+        multiply(N, M, 6, 6, 6, L)
+        for i in range(6):
+            J[15 * i + 6] = -self.seconds * L[6 * i + 3]
+            J[15 * i + 7] = -self.seconds * L[6 * i + 5]
+            J[15 * i + 8] = -self.seconds * L[6 * i + 1]
+
+
+cdef void backwards(const double *R, const double *t, double *A) noexcept nogil:
+    """The adjoint (6, 6) of the inverse of (R, t): (R', 0; -R' [t], R')."""
+    cdef double T[9]
+    cdef double S[9]
+    cdef double U[9]
+    cdef int i, j
+    for i in range(3):
+        for j in range(3):
+            S[3 * i + j] = R[3 * j + i]
+    hat(t, T)
+    multiply(S, T, 3, 3, 3, U)
+    memset(A, 0, 36 * sizeof(double))
+    for i in range(3):
+        for j in range(3):
+            A[6 * i + j] = A[6 * (3 + i) + 3 + j] = S[3 * i + j]
+            A[6 * (3 + i) + j] = -U[3 * i + j]
+
+
+cdef class _Place:
+    """A source in a system: where its variables are, its noise, and the linear factor that it is added to."""
+
+    cdef Source source
+    cdef int count, group, first  # of its variables; its linear factor; where its columns begin in `Rows.columns`
+    cdef int slots[8]  # where each variable is in `Rows.state`; -1 for one that there is not
+    cdef const double[:, ::1] whitener
+    cdef bint whitened
+    cdef object robust
+
+
+cdef class Rows:
+    """Sources with their variables, evaluated together.
+
+    Attributes:
+        information: Of each linear factor the matrix (D + 1, D + 1) of its quadratic form: J'J, and -J'r beside it.
+    """
+
+    cdef readonly list information
+    cdef list places
+    cdef double[::1] state  # the variables, then constants
+    cdef int[::1] starts, columns, where
+    cdef double[::1] r, J, spare
+
+    def __init__(self, list variables, list groups, list places):
+        """Bind the sources.
+
+        Args:
+            variables: Numbers and dimension of each variable.
+            groups: Of each linear factor the indices of its variables.
+            places: Of each source: the source; the index of its linear factor; for each of its variables the index, a
+                constant (n,) or None for none; the whitener (rows, rows), upper triangular, or None where the rows are
+                whitened; GTSAM's robust estimator or None.
+        """
+        cdef _Place place
+        cdef Source source
+        cdef int i, j, start, given, rows = 1, jacobian = 1, width = 1, total = 0
+        cdef list begins = [], constants = [], sizes = [size for size, _ in variables]
+        cdef dict begin
+        self.starts = np.cumsum([0, *sizes]).astype(np.intc)
+        end = self.starts[len(sizes)]
+        self.information, self.places = [], []
+        for group in groups:
+            begin, start = {}, 0
+            for i in group:
+                begin[i] = start
+                start += variables[i][1]
+            begins.append(begin)
+            self.information.append(np.zeros((start + 1, start + 1)))
+        columns = np.empty(sum([(<Source> each[0]).columns for each in places]) + 1, dtype=np.intc)
+        self.columns = columns
+        for source, group, bound, whitener, robust in places:
+            place = _Place()
+            place.source, place.group, place.robust, place.count, place.first = source, group, robust, len(bound), total
+            begin = begins[group]
+            for i, (variable, (size, dim, needed)) in enumerate(zip(bound, source.takes, strict=True)):
+                start, given = -1, size
+                place.slots[i] = -1
+                if isinstance(variable, int):
+                    given, start, place.slots[i] = sizes[variable], begin[variable], self.starts[variable]
+                elif variable is not None:
+                    given, place.slots[i] = len(variable), end
+                    constants.append(variable)
+                    end += given
+                elif needed:
+                    raise ValueError(f"variable {i} is missing")
+                if given != size:
+                    raise ValueError(f"variable {i} of {size} numbers is expected, not of {given}")
+                for j in range(dim):
+                    self.columns[total + j] = -1 if start < 0 else start + j
+                total += dim
+            place.whitened = whitener is None
+            if whitener is not None:
+                place.whitener = whitener
+                if place.whitener.shape[0] != source.rows or place.whitener.shape[1] != source.rows:
+                    raise ValueError("a whitener (rows, rows) is expected")
+            rows, width = max(rows, source.rows), max(width, source.columns)
+            jacobian = max(jacobian, source.rows * source.columns)
+            self.places.append(place)
+        state = np.zeros(end + 1)
+        if constants:
+            state[self.starts[len(sizes)]:end] = np.concatenate(constants)
+        self.state, self.r, self.J = state, np.empty(rows), np.empty(jacobian)
+        self.spare, self.where = np.empty(width + 1), np.empty(width + 1, dtype=np.intc)
+
+    def load(self, list variables):
+        """Take over the variables' numbers; a pose (4, 4) or (12,)."""
+        cdef const double[:, :] pose
+        cdef const double[::1] vector
+        cdef int i, j, start, end
+        for i in range(len(variables)):
+            start, end = self.starts[i], self.starts[i + 1]
+            if variables[i].ndim == 2:
+                pose = variables[i]
+                for j in range(9):
+                    self.state[start + j] = pose[j // 3, j % 3]
+                for j in range(3):
+                    self.state[start + 9 + j] = pose[j, 3]
+                continue
+            vector = variables[i]
+            if vector.shape[0] != end - start:
+                raise ValueError("a variable of another size")
+            for j in range(end - start):
+                self.state[start + j] = vector[j]
+
+    def error(self):
+        """Energy at the variables that were loaded, nats."""
+        cdef double total = 0.0
+        for place in self.places:
+            total += self.evaluated(place, False)
+        return total
+
+    def linearise(self):
+        """Energy at the variables that were loaded, nats, and `information`."""
+        cdef double total = 0.0
+        for matrix in self.information:
+            matrix[:] = 0.0
+        for place in self.places:
+            total += self.evaluated(place, True)
+        return total
+
+    def judge(self, looks):
+        """What the sources that judge find out of the variables that were loaded.
+
+        Args:
+            looks: Of each of them whether all of it is made anew.
+
+        Returns:
+            (M,) numbers of each, one after the other.
+        """
+        cdef _Place place
+        cdef const double *at[8]
+        cdef double[::1] found
+        cdef list own = [each for each in self.places if (<_Place> each).source.judged]
+        every = [np.empty((<_Place> each).source.judged) for each in own]
+        for place, found, look in zip(own, every, looks, strict=True):
+            self.bound(place, at)
+            place.source.judge(at, look, &found[0])
+        return every
+
+    cdef void bound(self, _Place place, const double **at):
+        cdef int i
+        for i in range(place.count):
+            at[i] = &self.state[place.slots[i]] if place.slots[i] >= 0 else NULL
+
+    cdef double evaluated(self, _Place place, bint want) except? -1.0:
+        cdef const double *at[8]
+        cdef double energy, squares = 0.0, weight = 1.0
+        cdef double *J = &self.J[0] if want else NULL
+        cdef double *r = &self.r[0]
+        cdef int i, rows = place.source.rows, columns = place.source.columns
+        cdef double[:, ::1] information
+        self.bound(place, at)
+        with nogil:
+            if want:
+                memset(J, 0, rows * columns * sizeof(double))
+            energy = place.source.fill(at, r, J)
+            if not place.whitened:
+                whiten(place.whitener, r, J, rows, columns)
+            if isnan(energy):
+                for i in range(rows):
+                    squares += r[i] * r[i]
+                energy = 0.5 * squares
+        if place.robust is not None:
+            energy = place.robust.loss(sqrt(squares))
+            if want:
+                weight = place.robust.weight(sqrt(squares))
+        if want:
+            information = self.information[place.group]
+            with nogil:
+                add(r, J, rows, columns, &self.columns[place.first], weight, &information[0, 0],
+                    information.shape[0], &self.spare[0], &self.where[0])
+        return energy
+
+
+cdef void whiten(
+    const double[:, ::1] R, double *r, double *J, int rows, int columns
+) noexcept nogil:
+    """Rows times an upper triangular whitener."""
+    cdef int i, j, k
+    for i in range(rows):  # an upper triangle: what is overwritten is not needed any more
+        r[i] *= R[i, i]
+        for j in range(i + 1, rows):
+            r[i] += R[i, j] * r[j]
+        if J == NULL:
+            continue
+        for k in range(columns):
+            J[i * columns + k] *= R[i, i]
+        for j in range(i + 1, rows):
+            if R[i, j] != 0.0:
+                for k in range(columns):
+                    J[i * columns + k] += R[i, j] * J[j * columns + k]
+
+
+cdef void add(
+    const double *r, const double *J, int rows, int columns, const int *place, double weight, double *H, int width,
+    double *values, int *where
+) noexcept nogil:
+    """Add weighted rows to the quadratic form (width, width), whose last column is that of minus the residual."""
+    cdef int i, j, k, count
+    cdef double value
+    for i in range(rows):
+        count = 0
+        for j in range(columns):
+            if J[i * columns + j] != 0.0 and place[j] >= 0:
+                values[count], where[count] = J[i * columns + j], place[j]
+                count += 1
+        values[count], where[count] = -r[i], width - 1
+        count += 1
+        for j in range(count):
+            value = weight * values[j]
+            for k in range(count):
+                H[where[j] * width + where[k]] += value * values[k]
