@@ -10,7 +10,8 @@
 | a video | a frame each | `FILE#FRAME` |
 
 A folder stands for the images and videos below it, in order; where there are none, for its keypoint files; where there
-are none of these either, for its files `.txt` and `.mat`. KITTI's folders (`image_2` or `image_02` with `calib`) bring
+are none of these either, for its files `.txt` and `.mat`. A sequence of a data set stands for its images, with their
+cameras. KITTI's folders (`image_2` or `image_02` with `calib`) bring
 their cameras.
 """
 
@@ -25,10 +26,12 @@ from typing import Any
 
 from fgrecon.batch.parts import RUN
 from fgrecon.batch.tasks import instance_text
+from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.text import whole_text
 from fgrecon.io.catalogue import load_category
+from fgrecon.io.datasets import is_data_set, open_images
 from fgrecon.io.images import IMAGES
 from fgrecon.io.keypoints.records import NOT_JSON, keypoint_records
 from fgrecon.io.kitti_calibration import calibration_beside
@@ -50,11 +53,13 @@ class InputFile:
         path: The file, as it was given.
         every: Of a video every so many frames.
         category: The category whose keypoints are wanted.
+        camera: Of an image of a data set its camera as JSON, or None.
     """
 
     path: Path
     every: int = 1
     category: Category = field(default_factory=lambda: load_category("car14"))
+    camera: str | None = None
 
     @property
     def is_picture(self) -> bool:
@@ -97,15 +102,18 @@ def sources_of(
     """The files that inputs stand for, each once.
 
     Args:
-        inputs: Files and folders.
+        inputs: Files and folders; of data sets (`fgrecon.io.datasets`) with the sequence, or the camera, that is meant.
         every: Of videos every so many frames.
         category: The category whose keypoints are wanted, its name or its file.
 
     Raises:
         InvalidInputError: One does not exist, is a pipe or device, has another ending, or is a folder without anything.
     """
-    found: dict[Path, None] = {}
+    found: dict[Path, str | None] = {}
     for item in map(Path, inputs):
+        if is_data_set(item):
+            found |= {image.path: _as_json(image.lens) for image in open_images(item)}
+            continue
         if not item.exists():
             raise InvalidInputError("input", str(item), "Give files and folders that exist.")
         if not (item.is_file() or item.is_dir()):  # files are read twice, once to count their rows
@@ -114,7 +122,7 @@ def sources_of(
             raise InvalidInputError("input", str(item), f"Give a folder, or files ending in {', '.join(_READERS)}.")
         found |= dict.fromkeys(_files(item) if item.is_dir() else [item])
     wanted = load_category(category)
-    return [InputFile(path, every, wanted) for path in found]
+    return [InputFile(path, every, wanted, camera) for path, camera in found.items()]
 
 
 def _files(folder: Path) -> list[Path]:
@@ -229,7 +237,7 @@ def _task(row: Row) -> Row:
 
 
 def _image_row(source: InputFile) -> Iterator[Row]:
-    yield {"row_id": str(source.path), "image": str(source.path), "camera": _kitti_camera(source.path)}
+    yield {"row_id": str(source.path), "image": str(source.path), "camera": source.camera or _kitti_camera(source.path)}
 
 
 def _frame_rows(source: InputFile) -> Iterator[Row]:
@@ -241,6 +249,11 @@ def _kitti_camera(image: Path) -> str | None:
     """The camera that KITTI's layouts have for an image, as JSON."""
     found = calibration_beside(image)
     return None if found is None else json.dumps({"K": found.camera.matrix.tolist()})
+
+
+def _as_json(camera: Camera) -> str:
+    lens = {} if camera.distortion is None else {"distortion": camera.distortion.tolist()}
+    return json.dumps({"K": camera.matrix.tolist(), **lens})
 
 
 _RECORDS = _Reader(_count_records, _record_rows)

@@ -11,7 +11,8 @@ from fgrecon.calibration.detector_fit import FACTORS, FittedDetector, as_said, c
 from fgrecon.calibration.labelled_drives import Advance, DriveRequest, ScoredDrives, score_drives
 from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.kitti_drives import Drive, read_images
+from fgrecon.io.datasets import open_drive
+from fgrecon.io.kitti_drives import Drive
 
 _EDGES = "Where the boxes' edges lie"
 _NUMBERS = "How far the network's errors go together, and its facings,"
@@ -59,7 +60,7 @@ def calibrate_detector(
     Raises:
         InvalidInputError: Nothing could be fitted, or the drives cannot be used.
     """
-    drives = [read_images(folder.absolute()) for folder in request.folders]
+    drives = [open_drive(folder) for folder in request.folders]
     check_labels(drives)
     kept: list[str] = []
 

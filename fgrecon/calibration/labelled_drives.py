@@ -20,7 +20,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import KeypointOptions, Options
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.text import counted
-from fgrecon.io.kitti_drives import Drive, read_images
+from fgrecon.io.datasets import open_drive
+from fgrecon.io.kitti_drives import Drive
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.vehicles import NanodetVehicleDetector
 
@@ -131,7 +132,7 @@ def score_drives(
     request: DriveRequest,
     advance: Advance,
     *,
-    read: Callable[[Path], Drive] = read_images,
+    read: Callable[[Path], Drive] = open_drive,
     rivals: Callable[[SceneKnowledge], Callable[[], Rivals]] | None = None,
     keypoints: KeypointOptions | None = None,
 ) -> ScoredDrives:
@@ -140,7 +141,7 @@ def score_drives(
     Args:
         request: The drives.
         advance: Shows progress.
-        read: Reads a drive; the default reads folders of single images as well.
+        read: Reads a drive; the default reads folders of single images and data sets as well.
         rivals: From the given scene what scores other methods on the same keypoints.
         keypoints: What is assumed of the detector; None for the default.
 
@@ -148,7 +149,7 @@ def score_drives(
         InvalidInputError: A folder is no drive, no box counts or is detected, or a network is given for none of the
             drives.
     """
-    drives = [read(folder.absolute()) for folder in request.folders]
+    drives = [read(folder) for folder in request.folders]
     files = read_folds(request.folds, [drive.name for drive in drives], request.weights)
     if not any(len(wanted(frame)) for drive in drives for frame in drive.frames):
         fix = "Give drives with labelled cars or vans of at least 25 pixels."

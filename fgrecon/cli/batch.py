@@ -43,7 +43,8 @@ def batch_command(
     inputs: Annotated[
         list[Path],
         typer.Argument(
-            metavar="INPUT...", help="Keypoints (json, jsonl, parquet, txt, mat), images, videos, or folders."
+            metavar="INPUT...",
+            help="Keypoints (json, jsonl, parquet, txt, mat), images, videos, folders, or data sets.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="For the parts (Parquet); made where it does not exist.")],

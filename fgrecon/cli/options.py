@@ -472,10 +472,10 @@ class DriveOptions:
             InvalidInputError: As `score_drives` raises it.
         """
         from fgrecon.calibration.labelled_drives import score_drives
-        from fgrecon.io.kitti_drives import read_images
+        from fgrecon.io.datasets import open_drive
 
         with screen.bar() as advance:
-            return score_drives(self.request(folders, labelled), advance, read=read or read_images, rivals=rivals)
+            return score_drives(self.request(folders, labelled), advance, read=read or open_drive, rivals=rivals)
 
 
 _RECORDING = "Recording"

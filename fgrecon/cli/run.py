@@ -135,8 +135,9 @@ def run_command(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="VIDEO|FOLDER|PATTERN|KEYPOINTS",
-            help="A video; images: their folder, or a pattern; or keypoints alone (json).",
+            metavar="VIDEO|FOLDER|PATTERN|DATASET|KEYPOINTS",
+            help="A video; images: their folder, or a pattern; FOLDER#SEQUENCE/CAMERA of a data set; or keypoints "
+            "alone (json).",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="For the results; made where it does not exist.")],

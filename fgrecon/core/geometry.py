@@ -8,12 +8,14 @@ from numpy.typing import ArrayLike, NDArray
 from factors.projection import cross, pixel_jacobian
 
 __all__ = [
+    "FORWARD_LEFT_UP",
     "MIRROR",
     "box_around",
     "cross",
     "exponential",
     "pixel_jacobian",
     "position_covariance",
+    "quaternion_pose",
     "transform",
     "turn_between",
     "view_azimuth",
@@ -24,6 +26,10 @@ Array = NDArray[np.float64]
 
 MIRROR = np.array([1.0, 1.0, -1.0])
 """Factors of the coordinates in the object frame that put a point where its mirror image is."""
+
+
+FORWARD_LEFT_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""From axes x forward, y left, z up, as robots and most data sets have them, to the object frame."""
 
 
 def exponential(rotation: Array) -> Array:
@@ -65,6 +71,19 @@ def position_covariance(camera_T_object: Array, pose_covariance: Array) -> Array
     rotation = camera_T_object[:3, :3]
     covariance: Array = rotation @ pose_covariance[3:, 3:] @ rotation.T
     return covariance
+
+
+def quaternion_pose(quaternion: Array, place: Array) -> Array:
+    """(4, 4) pose of a quaternion w, x, y, z of about unit length and a place (3,)."""
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    pose[:3, 3] = place
+    return pose
 
 
 def transform(a_T_b: Array, points: Array) -> Array:

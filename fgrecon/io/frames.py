@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.frame_names import DEFAULT_RATE, distinct_names, frames_by_name, times_of
+from fgrecon.io.frame_names import DEFAULT_RATE, OrderedImages, distinct_names, frames_by_name, times_of
 from fgrecon.io.images import IMAGES, read_image
 from fgrecon.io.source_frames import Choice, SourceFrame, sized
 from fgrecon.io.video_frames import VIDEOS, VideoFrames, open_video
@@ -34,6 +34,7 @@ __all__ = [
     "VideoFrames",
     "numbered_frames",
     "open_frames",
+    "timed_frames",
 ]
 
 _LEFT_COLOUR = ("image_02", "image_2")
@@ -158,7 +159,7 @@ def open_frames(
         if rate is not None:
             raise InvalidInputError("fps", rate, "Leave it out: a video has times of its own.")
         return open_video(path, choice)
-    return _images(_files(str(source)), rate, choice)
+    return _chosen(frames_by_name(_files(str(source))), rate, choice)
 
 
 def numbered_frames(
@@ -216,8 +217,19 @@ def _files(source: str) -> list[Path]:
     return images
 
 
-def _images(paths: Sequence[Path], rate: float | None, choice: Choice) -> ImageFrames:
-    found = frames_by_name(paths)
+def timed_frames(
+    paths: Sequence[Path], times: Sequence[float], *, every: int = 1, start: float = 0.0, end: float | None = None
+) -> ImageFrames:
+    """Images as frames, numbered by their places, whose times are known; the other arguments are `open_frames`'.
+
+    Raises:
+        InvalidInputError: A number is out of range, or no frame is left.
+    """
+    found = OrderedImages(tuple(paths), tuple(range(len(paths))), tuple(times), numbered=False)
+    return _chosen(found, None, Choice(every, start, end))
+
+
+def _chosen(found: OrderedImages, rate: float | None, choice: Choice) -> ImageFrames:
     names = distinct_names(found.paths)
     times, assumed = times_of(found.numbers, found.times, rate)
     taken = _taken(times, choice)

@@ -45,6 +45,8 @@ class DriveFrame:
         usable: (M,) whether nothing is drawn over the object in this image.
         labelled: Whether the frame was labelled.
         calibration: The camera, and the labels' offset in its frame.
+        time: When the image was taken, seconds, or None.
+        world_T_camera: (4, 4) pose of the camera in the drive's world, or None.
     """
 
     number: int
@@ -54,6 +56,13 @@ class DriveFrame:
     usable: NDArray[np.bool_]
     labelled: bool
     calibration: KittiCalibration
+    time: float | None = None
+    world_T_camera: NDArray[np.float64] | None = None
+
+    @property
+    def seconds(self) -> float:
+        """When the image was taken; where nothing tells it by its number, at KITTI's rate."""
+        return self.number / IMAGES_PER_SECOND if self.time is None else self.time
 
     @property
     def boxed(self) -> NDArray[np.bool_]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import transform
+from fgrecon.core.geometry import quaternion_pose, transform
 from fgrecon.io.json_fields import Fields, read_json
 
 _TABLES = "calibrated_sensor", "sample_data"
@@ -94,15 +94,7 @@ def pose_of(record: Fields) -> NDArray[np.float64]:
     length = float(np.linalg.norm(quaternion))
     if not abs(length - 1.0) < 1e-3:
         raise InvalidInputError(f"{record.where}rotation", quaternion.tolist(), "Give a unit quaternion w, x, y, z.")
-    w, x, y, z = quaternion / length
-    pose = np.eye(4)
-    pose[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    pose[:3, 3] = record.numbers("translation", (3,))
-    return pose
+    return quaternion_pose(quaternion, record.numbers("translation", (3,)))
 
 
 @lru_cache(maxsize=8)

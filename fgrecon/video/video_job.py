@@ -22,6 +22,7 @@ from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
 from fgrecon.core.input_warnings import InputWarnings, camera_warning_of, input_warning_of, summed_up
 from fgrecon.core.text import counted
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
+from fgrecon.io.datasets import is_data_set, open_video
 from fgrecon.io.export.formats import export_rows
 from fgrecon.io.files import check_folder, write_text
 from fgrecon.io.frames import (
@@ -33,9 +34,11 @@ from fgrecon.io.frames import (
     VideoFrames,
     numbered_frames,
     open_frames,
+    timed_frames,
 )
 from fgrecon.io.images import read_photograph
 from fgrecon.io.kitti_calibration import calibration_beside
+from fgrecon.io.kitti_drives import Drive
 from fgrecon.io.poses import CameraPoses, read_poses
 from fgrecon.io.run_settings import RunSettings, content_hash
 from fgrecon.io.video import check_video
@@ -64,7 +67,8 @@ class VideoRequest:
     """What is requested of a video.
 
     Attributes:
-        source: A video; images: their folder, or a pattern; or a file of keypoints alone (json).
+        source: A video; images: their folder, or a pattern; a camera of a data set (`fgrecon.io.datasets`); or a
+            file of keypoints alone (json).
         out: Folder of the results.
         settings: What holds for every vehicle.
         camera: The given camera.
@@ -171,7 +175,8 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
     if ground is not None and ground.is_vague:
         fix = "Give the plane, NX,NY,NZ,D, or leave it out: vehicles are told apart by where they stand."
         raise InvalidInputError("ground", ground.distance, fix)
-    source, given = _open_source(request)
+    drive = open_video(request.source) if is_data_set(request.source) else None
+    source, given = _open_source(request, drive)
     if source.assumed_rate:
         warn(
             f"No frame rate (`fps`, --fps) is given: {DEFAULT_RATE:g} frames per second are assumed; speeds go with it."
@@ -181,13 +186,13 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
     source_has = BoxModel.DETECTED if given is None else BoxModel.CUBOID if given.cuboids else BoxModel.SURFACE
     box = replace(options.box, model=request.box_model or source_has)
     settings = replace(request.settings, options=replace(options, box=box))
-    moving = _is_moving(request, source)
+    poses = _poses(request, drive)
+    moving = _is_moving(request, source, poses)
     if request.picture_frame is not None and not _may_have(source, request.picture_frame):
         raise InvalidInputError("picture_frame", request.picture_frame, "Give the number of one of the frames.")
-    poses = None if request.poses is None else read_poses(request.poses)
     if poses or given:
         check_coverage(planned_frames(source) or (), poses, None if given is None else given.vehicles.keys())
-    camera, offset = _camera(request, source, given, settings, warn)
+    camera, offset = _camera(request, source, given, drive, settings, warn)
     return VideoJob(request, source, camera, offset, settings, given, poses, moving)
 
 
@@ -198,11 +203,19 @@ def _may_have(source: FrameSource, number: int) -> bool:
     return number >= 0 and number % source.choice.every == 0 and number < len(packet_times(source.path))
 
 
-def _is_moving(request: VideoRequest, source: FrameSource) -> bool:
+def _poses(request: VideoRequest, drive: Drive | None) -> CameraPoses | None:
+    """The given poses of the camera, else those of a data set."""
+    if request.poses is not None:
+        return read_poses(request.poses)
+    known = {} if drive is None else {f.number: f.world_T_camera for f in drive.frames if f.world_T_camera is not None}
+    return CameraPoses(known) if known else None
+
+
+def _is_moving(request: VideoRequest, source: FrameSource, poses: CameraPoses | None) -> bool:
     """Whether the camera's motion is estimated: where it makes results better, if nothing is said."""
     images, ground = not isinstance(source, NumberedFrames), request.settings.ground
     if request.estimate_motion is None:
-        return images and not request.alone and request.poses is None and ground is not None
+        return images and not request.alone and poses is None and ground is not None
     if request.estimate_motion:
         if not images:
             raise InvalidInputError("estimate_motion", request.source, "Give images: keypoints alone have none.")
@@ -216,15 +229,11 @@ def _is_moving(request: VideoRequest, source: FrameSource) -> bool:
     return request.estimate_motion
 
 
-def _open_source(request: VideoRequest) -> tuple[FrameSource, Given | None]:
+def _open_source(request: VideoRequest, drive: Drive | None) -> tuple[FrameSource, Given | None]:
     """The frames, and the vehicles that others have detected, beside the images or in their place."""
     path, category = Path(request.source), request.settings.prior.category
-    choice: dict[str, Any] = {
-        "rate": request.fps,
-        "every": request.every,
-        "start": request.start,
-        "end": request.end,
-    }
+    part: dict[str, Any] = {"every": request.every, "start": request.start, "end": request.end}
+    choice = {"rate": request.fps} | part
     if path.suffix.lower() == ".json":
         if request.tracks is not None:
             raise InvalidInputError("tracks", str(request.tracks), "Leave it out: keypoints are given already.")
@@ -234,14 +243,25 @@ def _open_source(request: VideoRequest) -> tuple[FrameSource, Given | None]:
         return numbered_frames(path, given.vehicles, times=given.times, **choice), given
     if request.forget_ids and request.tracks is None:
         raise InvalidInputError("forget_ids", value=True, fix="Give `tracks` (--tracks) as well, or leave it out.")
-    source = open_frames(request.source, **choice)
+    if drive is not None and request.fps is not None:
+        raise InvalidInputError("fps", request.fps, "Leave it out: a data set tells the times of its images.")
+    source: FrameSource = (
+        open_frames(request.source, **choice)
+        if drive is None
+        else timed_frames([f.image for f in drive.frames], [f.seconds for f in drive.frames], **part)
+    )
     if request.tracks is None:
         return source, None
     return source, read_given(request.tracks, category, forget_ids=request.forget_ids, source=source)
 
 
 def _camera(
-    request: VideoRequest, source: FrameSource, given: Given | None, settings: RunSettings, warn: Warn
+    request: VideoRequest,
+    source: FrameSource,
+    given: Given | None,
+    drive: Drive | None,
+    settings: RunSettings,
+    warn: Warn,
 ) -> tuple[Camera, NDArray[np.float64] | None]:
     """The camera, with the size of the first image that can be read, and the offset of KITTI's labels."""
     frame = next((frame for frame in source.read() if frame.image is not None), None)
@@ -251,6 +271,8 @@ def _camera(
     camera, offset = request.camera.camera(source.first_file.name)
     if camera is None and given is not None:
         camera = given.camera
+    if camera is None and drive is not None:
+        camera = drive.calibration.camera
     if camera is None and (beside := calibration_beside(source.first_file)) is not None:
         camera, offset = beside.camera, beside.label_offset
     size = None if image is None else (image.shape[1], image.shape[0])

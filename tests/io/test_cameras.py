@@ -129,7 +129,7 @@ def test_files_of_another_kind(tmp_path, name, text):
     for missing in ("n.yaml", "n.xml", "n.json", "n.txt"):
         with pytest.raises(InvalidInputError, match=missing):
             read_camera(tmp_path / missing)
-    with pytest.raises(InvalidInputError, match="folder with nuScenes"):
+    with pytest.raises(InvalidInputError, match="folder of a data set"):
         read_camera(tmp_path)
     with pytest.raises(InvalidInputError, match="too long"):
         read_camera("x" * 5000)

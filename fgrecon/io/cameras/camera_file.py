@@ -7,6 +7,7 @@ from pathlib import Path
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.cameras.rigs import MountedCamera, is_waymo, nuscenes_camera, waymo_camera
+from fgrecon.io.datasets import is_data_set, open_sequence
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.io.keypoint_file import parse_camera
 from fgrecon.io.kitti_calibration import read_calibration
@@ -18,19 +19,19 @@ def read_camera(source: str | Path, image: str | None = None) -> MountedCamera:
 
     Args:
         source: KITTI's calibration (object, tracking, odometry, raw), YAML of ROS or OpenCV, XML of OpenCV, JSON of
-            Waymo, of OpenCV or with the fields of a keypoint file (`K`), or the folder of nuScenes' tables. Of several
-            cameras one is named after the file: `FILE#P3`, `FOLDER#CAM_FRONT`, `FILE#FRONT`; `#projection_matrix` is
-            ROS's rectified camera.
+            Waymo, of OpenCV or with the fields of a keypoint file (`K`), or the folder of a data set. Of several
+            cameras one is named after the file: `FILE#P3`, `FOLDER#CAM_FRONT`, `FOLDER#SEQUENCE/CAMERA`, `FILE#FRONT`;
+            `#projection_matrix` is ROS's rectified camera.
         image: File name of the photograph, by which nuScenes tells the camera.
 
     Raises:
         InvalidInputError: The file cannot be read, has no such camera, or is malformed; names file and field.
     """
     path, name = _split(source)
-    if is_nuscenes(path):
+    if is_nuscenes(path) and "/" not in (name or ""):
         return nuscenes_camera(open_nuscenes(path), None if name else image, name)
     if path.is_dir():
-        raise InvalidInputError("camera", str(path), "Give a file, or a folder with nuScenes' tables.")
+        return _of_data_set(source, image)
     where = f"{path}: "
     ending = path.suffix.lower()
     if ending == ".json":
@@ -55,6 +56,22 @@ def read_camera(source: str | Path, image: str | None = None) -> MountedCamera:
         return MountedCamera(storage_camera(data, where, name))
     calibration = read_calibration(path, "P2" if name is None else name)
     return MountedCamera(calibration.camera, label_offset=calibration.label_offset)
+
+
+def _of_data_set(source: str | Path, image: str | None) -> MountedCamera:
+    """The camera of a data set that took an image, or that is named."""
+    if not is_data_set(source):
+        raise InvalidInputError("camera", str(source), "Give a file, or a folder of a data set.")
+    found, camera = open_sequence(source)
+    images = found.images if camera is None else found.of_camera(camera)
+    named = [one for one in images if image is not None and one.path.stem == Path(image).stem]
+    if len(named) == 1:
+        return MountedCamera(named[0].lens, world_T_camera=named[0].world_T_camera if found.continuous else None)
+    cameras = {one.camera: one.lens for one in named or images}
+    if len(cameras) != 1:
+        fix = f"Name the camera after the folder: {found.name}/{' or '.join(cameras)}."
+        raise InvalidInputError("camera", f"{len(cameras)} cameras of {source}", fix)
+    return MountedCamera(next(iter(cameras.values())))
 
 
 def _split(source: str | Path) -> tuple[Path, str | None]:

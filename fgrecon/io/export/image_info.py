@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import box_around, transform
+from fgrecon.core.geometry import FORWARD_LEFT_UP, box_around, transform
+from fgrecon.core.outline import imaged, points_ahead
 from fgrecon.core.repr import brief_repr
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.json_fields import Fields, read_json
@@ -22,11 +22,7 @@ EVERY = "*"
 """Name of what holds for every image that is not named."""
 
 _VISIBLE = 0.5
-_UNDONE = 1.0  # pixels by which a lens that is undone may miss
 _RIGID = 1e-3  # by so much a rotation may fail to be one: text of some digits does
-_FORWARD_LEFT_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""From axes x forward, y left, z up, as robots and nuScenes have them, to the object frame."""
-
 Array = NDArray[np.float64]
 
 
@@ -112,7 +108,7 @@ def box_in(info: ImageInfo, camera_T_object: Array, size: Array) -> tuple[Array,
     """
     pose = camera_T_object if info.world_T_camera is None else info.world_T_camera @ camera_T_object
     centre: Array = pose[:3, 3] - pose[:3, 1] * size[2] / 2.0
-    return centre, pose[:3, :3] @ _FORWARD_LEFT_UP
+    return centre, pose[:3, :3] @ FORWARD_LEFT_UP
 
 
 def score(item: NamedResult) -> float:
@@ -135,31 +131,12 @@ def image_box(item: NamedResult) -> Array:
     box = box_around(item.result.pose.wireframe_uv)
     if camera is not None and shape.surface_vertices is not None and shape.surface_faces is not None:
         vertices = transform(item.result.camera_T_object, shape.surface_vertices)
-        points = _ahead(vertices, shape.surface_faces)
-        box = box_around(_imaged(camera, points)) if len(points) else box
+        faces = shape.surface_faces
+        points = points_ahead(vertices, np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]))
+        box = box_around(imaged(camera, points)) if len(points) else box
     if camera is not None and camera.image_size is not None:
         box = np.clip(box, 0.0, np.tile(np.subtract(camera.image_size, 1.0), 2))
     return box
-
-
-def _ahead(vertices: Array, faces: NDArray[np.int64]) -> Array:
-    """The vertices (V, 3) in front of the camera, and where edges of faces (F, 3) pass its near plane: (M, 3)."""
-    ahead = vertices[:, 2] >= MIN_DEPTH
-    if ahead.all():
-        return vertices
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    first, last = vertices[edges[ahead[edges].sum(axis=1) == 1]].swapaxes(0, 1)
-    share = (MIN_DEPTH - first[:, 2:]) / (last[:, 2:] - first[:, 2:])
-    return np.concatenate([vertices[ahead], first + share * (last - first)])
-
-
-def _imaged(camera: Camera, points: Array) -> Array:
-    """(M, 2) pixels of points (M, 3); far outside of the image, where the lens cannot be undone, those of a pinhole."""
-    ideal = camera.project(points)
-    pixels = camera.distort(ideal)
-    back, known = camera.ideal_pixels(pixels)
-    right = known & (np.abs(back - ideal).max(axis=1) < _UNDONE)
-    return np.where(right[:, None], pixels, ideal)
 
 
 def quaternion(rotation: Array) -> tuple[float, float, float, float]:

@@ -147,7 +147,7 @@ def _records(seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, moving:
         look = MotionEstimator(drive.calibration.camera, setup.ground)
     for frame in drive.frames:
         shown = sightings.get(frame.number, ())
-        record = FrameRecord(frame.number, frame.number / IMAGES_PER_SECOND, frame.image.name, None, tuple(shown))
+        record = FrameRecord(frame.number, frame.seconds, frame.image.name, None, tuple(shown))
         if look is not None and sightings and min(sightings) <= frame.number <= max(sightings):
             image = SourceFrame(record.number, record.time, record.name, read_image(frame.image))
             yield replace(record, motion=look(image, shown))

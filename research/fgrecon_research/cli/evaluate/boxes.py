@@ -101,12 +101,12 @@ def _drives(folder: Path, following: Sequence[str]) -> tuple[list[Drive], list[s
     """The drives, and the texts behind them."""
     from fgrecon.calibration.labelled_drives import check_names
     from fgrecon.core.errors import InvalidInputError
-    from fgrecon.io.kitti_drives import has_labels, read_images
+    from fgrecon.io.datasets import has_drive, open_drive
 
-    more = list(takewhile(has_labels, map(Path, following)))
+    more = list(takewhile(has_drive, map(Path, following)))
     if len(more) == len(following):
         raise InvalidInputError("results", "none", "Give boxes behind the drives: [NAME=]RESULTS.")
-    drives = [read_images(place.absolute()) for place in (folder, *more)]
+    drives = [open_drive(place) for place in (folder, *more)]
     check_names([drive.name for drive in drives])
     return drives, list(following[len(more) :])
 

@@ -47,7 +47,7 @@ def score_drives(
         InvalidInputError: As `DriveOptions.score` does; there is no method of a name; or the camera's motion is to be
             estimated without a ground.
     """
-    from fgrecon.io.kitti_drives import read_drive, read_images
+    from fgrecon.io.datasets import open_drive, open_video
     from fgrecon_research.evaluation.methods import select
     from fgrecon_research.evaluation.sensor_methods import OtherMethods, with_points
     from fgrecon_research.evaluation.video_tracks import follow_boxes
@@ -62,7 +62,7 @@ def score_drives(
         raise InvalidInputError("track", f"with {', '.join(sensors)}", fix)
 
     def read(folder: Path) -> Drive:
-        drive = (read_drive if track else read_images)(folder)
+        drive = (open_video if track else open_drive)(folder)
         return with_sensors(drive, sensors) if sensors else drive
 
     def others(scene: SceneKnowledge) -> Callable[[], Rivals]:

@@ -54,14 +54,14 @@ def refine_evaluation_command(
     from fgrecon.calibration.labelled_drives import read_folds
     from fgrecon.core.errors import InvalidInputError
     from fgrecon.core.options import BoxModel, BoxOptions, Options
-    from fgrecon.io.kitti_drives import read_images
+    from fgrecon.io.datasets import open_drive
     from fgrecon.perception.keypoints.detect import KeypointCascade
     from fgrecon_research.evaluation.boxes3d import read_boxes
     from fgrecon_research.evaluation.refined import Refinement, document, refine_drive
 
     check_outputs(json_out)
     screen = terminal.screen(json_out)
-    drives = [read_images(folder.absolute()) for folder in folders]
+    drives = [open_drive(folder) for folder in folders]
     files = read_folds(fold or (), [drive.name for drive in drives], weights)
     settings = scene.settings(
         Options(strategy=scene.strategy, box=BoxOptions(model=BoxModel.CUBOID), keep_history=False)

@@ -89,7 +89,8 @@ def label_command(
         list[Path],
         typer.Argument(
             metavar="DRIVE",
-            help="Folder with image_02, label_02.txt, calib.txt (KITTI tracking) or image_2, label_2, calib (object).",
+            help="Folder with image_02, label_02.txt, calib.txt (KITTI tracking) or image_2, label_2, calib (object); "
+            "or FOLDER#SEQUENCE/CAMERA of a data set.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The labels: COCO keypoints (JSON).")],
@@ -126,8 +127,9 @@ def label_command(
     Exit code 0: labels were written; 1: no vehicle could be labelled; 2: bad usage or input.
     """
     from fgrecon.io.catalogue import load_prior
+    from fgrecon.io.datasets import open_drive
     from fgrecon.io.files import check_ending
-    from fgrecon.io.kitti_drives import read_drive, read_images
+    from fgrecon.io.kitti_drives import read_drive
     from fgrecon.perception.keypoints.detect import KeypointCascade
     from fgrecon_research.cli.training import label_report as report
     from fgrecon_research.io.coco_keypoints import write_coco_keypoints
@@ -137,7 +139,7 @@ def label_command(
     screen = terminal.screen(json_out)
     selection, known, shape_prior = which.selection(), unboxed.known(), load_prior(prior)
     if tracks is None:
-        drives = [read_images(folder.absolute()) for folder in folders]
+        drives = [open_drive(folder) for folder in folders]
     else:
         _check_tracked(folders, known)
         drives = [read_drive(folder.absolute(), tracks) for folder in folders]

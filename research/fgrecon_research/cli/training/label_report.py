@@ -21,8 +21,9 @@ from fgrecon.cli.terminal import Screen
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.catalogue import load_prior
+from fgrecon.io.datasets import open_drive
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import Drive, read_images
+from fgrecon.io.kitti_drives import Drive
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.annotation import Annotation
@@ -97,7 +98,7 @@ def label_street(drives: Sequence[Path], network: Path, out: Path, watch: Progre
     prior = load_prior("car14")
     detector = KeypointCascade(network)
     selection = replace(Selection(), kinds=_LEARNT)
-    done = label_drives([read_images(folder.absolute()) for folder in drives], detector, prior, watch, selection)
+    done = label_drives([open_drive(folder) for folder in drives], detector, prior, watch, selection)
     labels = labels_of(done, prior, detector.provenance)
     if not labels.vehicles:
         fix = "Give drives with labelled 3D boxes of cars."

@@ -1,0 +1,265 @@
+"""What a data set has of a drive: the images of its cameras with their poses, and the 3D boxes around them.
+
+Every reader of this folder gives the same: axes and quaternions, centres and bottoms, orders of sizes are dealt with
+there. The world's frame is the data set's own; it is the same for all images and boxes of a sequence.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.box3d import box_corners
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import FORWARD_LEFT_UP, transform
+from fgrecon.core.metrics import wrap_angle
+from fgrecon.core.outline import box_outline
+from fgrecon.core.reconstruction import rotation_y
+from fgrecon.io.files import write_bytes
+from fgrecon.io.kitti_calibration import KittiCalibration
+from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.io.kitti_files import Objects
+
+Array = NDArray[np.float64]
+
+UNKNOWN = -1
+"""KITTI's mark for an occlusion that is not known."""
+
+
+@dataclass(frozen=True, eq=False)
+class WorldBox:
+    """An object with a 3D box.
+
+    Attributes:
+        name: What the data set calls it; no other box of the sequence has it.
+        kind: Its class, in the data set's words.
+        world_T_box: (4, 4) the box's centre and its axes forward, left, up, metres.
+        size: (3,) length, width and height, metres.
+        track: Of the object through the sequence, or None.
+        score: Of its detector, or None.
+        occlusion: KITTI's grade 0 to 2; -1 where it is not known.
+        velocity: (3,) in the world's frame, m/s, or None.
+        boxes: (4,) 2D boxes that people have drawn, by camera; else the projection of the 3D box is taken.
+    """
+
+    name: str
+    kind: str
+    world_T_box: Array
+    size: Array
+    track: str | None = None
+    score: float | None = None
+    occlusion: int = UNKNOWN
+    velocity: Array | None = None
+    boxes: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def corners(self) -> Array:
+        """(8, 3) in the world's frame; rear before front, bottom before top, right before left."""
+        return transform(self.world_T_object, box_corners(self.size))
+
+    @property
+    def world_T_object(self) -> Array:
+        """(4, 4) pose of the object frame: origin at the centre of the bottom face, axes forward, down, left."""
+        pose = self.world_T_box.copy()
+        pose[:3, :3] = self.world_T_box[:3, :3] @ FORWARD_LEFT_UP.T
+        pose[:3, 3] -= self.world_T_box[:3, 2] * self.size[2] / 2.0
+        return pose
+
+
+def box_pose(world_T_object: Array, size: Array) -> Array:
+    """(4, 4) of a box's centre and its axes forward, left, up, from the pose of its object frame."""
+    pose = world_T_object.copy()
+    pose[:3, 3] -= world_T_object[:3, 1] * size[2] / 2.0
+    pose[:3, :3] = world_T_object[:3, :3] @ FORWARD_LEFT_UP
+    return pose
+
+
+@dataclass(frozen=True, eq=False)
+class CameraImage:
+    """An image.
+
+    Attributes:
+        camera: Name of the camera.
+        path: The file; it need not be there.
+        name: What the data set calls the image.
+        time: Seconds, by the data set's clock.
+        lens: The camera.
+        vehicle_T_camera: (4, 4) how it is mounted on the vehicle, in the vehicle's frame of the data set.
+        world_T_vehicle: (4, 4) pose of the vehicle when the image was taken.
+        moment: The moment whose boxes are those of the image; None where it has not been labelled.
+        content: Gives the file, where the data set has it inside a table; it is then unpacked to `path`.
+    """
+
+    camera: str
+    path: Path
+    name: str
+    time: float
+    lens: Camera
+    vehicle_T_camera: Array
+    world_T_vehicle: Array
+    moment: str | None
+    content: Callable[[], bytes] | None = None
+
+    @property
+    def world_T_camera(self) -> Array:
+        """(4, 4) pose of the camera when it took the image."""
+        pose: Array = self.world_T_vehicle @ self.vehicle_T_camera
+        return pose
+
+    def pixels(self, points: Array) -> tuple[Array, Array]:
+        """(N, 2) pixels of points (N, 3) of the world, and their depths (N,); behind the camera they mean nothing."""
+        camera_T_world = np.linalg.inv(self.world_T_camera).astype(np.float64)
+        seen = transform(camera_T_world, points)
+        safe: Array = np.where(seen[:, 2:] > 0.0, seen, [0.0, 0.0, 1.0])
+        return self.lens.distort(self.lens.project(safe)), seen[:, 2]
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """When objects were labelled, all around at once.
+
+    Attributes:
+        name: What the data set calls it, such as the token of a sample.
+        time: Seconds, by the data set's clock.
+        world_T_vehicle: (4, 4) pose of the vehicle then.
+        boxes: The objects.
+        sweep: File of the LiDAR's points, or None.
+        vehicle_T_lidar: (4, 4) how the LiDAR is mounted; the points of `sweep` are in its frame.
+    """
+
+    name: str
+    time: float
+    world_T_vehicle: Array
+    boxes: tuple[WorldBox, ...]
+    sweep: Path | None = None
+    vehicle_T_lidar: Array = field(default_factory=lambda: np.eye(4))
+
+
+@dataclass(frozen=True, eq=False)
+class DataSequence:
+    """A drive of a vehicle with cameras.
+
+    Attributes:
+        name: What the data set calls it.
+        images: Of all cameras.
+        moments: By their names.
+        cars: What the data set calls cars and vans, and KITTI's names for them (`Car`, `Van`).
+        continuous: Whether the images follow one another, with times and poses in one world; else each is by itself.
+    """
+
+    name: str
+    images: tuple[CameraImage, ...]
+    moments: Mapping[str, Moment]
+    cars: Mapping[str, str]
+    continuous: bool = True
+
+    @cached_property
+    def cameras(self) -> tuple[str, ...]:
+        """The names of the cameras."""
+        return tuple(dict.fromkeys(image.camera for image in self.images))
+
+    def of_camera(self, camera: str | None) -> tuple[CameraImage, ...]:
+        """The images of a camera, None for the only one.
+
+        Raises:
+            InvalidInputError: There is no such camera, or none is named and there are several.
+        """
+        name = self.cameras[0] if camera is None and len(self.cameras) == 1 else camera
+        found = tuple(image for image in self.images if image.camera == name)
+        if not found:
+            fix = f"Name a camera: {', '.join(self.cameras) or 'there is none'}."
+            raise InvalidInputError("camera", camera or f"{len(self.cameras)} cameras of {self.name}", fix)
+        return found
+
+
+def unpacked_images() -> Path:
+    """Where images that lie inside of tables are unpacked to: they are there for the next run."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fgrecon" / "images"
+
+
+def drive_of(drive: DataSequence, camera: str | None = None) -> Drive:
+    """The images of a camera as a drive whose objects are those that are seen in them.
+
+    Images without a file are left out; those inside of tables are unpacked (`unpacked_images`). Boxes are upright in
+    the camera's frame there, as KITTI's are: of a camera that looks up or down they lose the angle to it.
+
+    Raises:
+        InvalidInputError: There is no such camera, or no file of an image.
+    """
+    there = images_there(drive, drive.of_camera(camera))
+    tracks: dict[str, int] = {}
+    frames = tuple(_frame(number, image, drive, tracks) for number, image in enumerate(there))
+    return Drive(f"{drive.name}-{there[0].camera}", frames)
+
+
+def images_there(drive: DataSequence, images: tuple[CameraImage, ...]) -> tuple[CameraImage, ...]:
+    """Those of the images whose files are there, in order of time; those inside of tables are unpacked.
+
+    Raises:
+        InvalidInputError: There is none, or one cannot be written.
+    """
+    for image in images:
+        if image.content is not None and not image.path.is_file():
+            image.path.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(image.path, image.content())
+    there = sorted((image for image in images if image.path.is_file()), key=lambda image: image.time)
+    if not there:
+        first = str(images[0].path) if images else "none"
+        raise InvalidInputError("images", first, f"Give the images of {drive.name} there.")
+    return tuple(there)
+
+
+def _frame(number: int, image: CameraImage, drive: DataSequence, tracks: dict[str, int]) -> DriveFrame:
+    boxes = () if image.moment is None else drive.moments[image.moment].boxes
+    seen = [(box, row) for box in boxes if (row := _row(box, image)) is not None]
+    kinds = [drive.cars.get(box.kind, "_".join(box.kind.split())) for box, _ in seen]
+    objects = Objects.of_rows(kinds, np.array([row for _, row in seen]))
+    return DriveFrame(
+        number=number,
+        image=image.path,
+        objects=objects,
+        tracks=np.array([tracks.setdefault(box.track or box.name, len(tracks)) for box, _ in seen], dtype=np.int64),
+        usable=np.ones(len(seen), dtype=bool),
+        labelled=image.moment is not None,
+        calibration=KittiCalibration(image.lens, np.zeros(3)),
+        time=image.time if drive.continuous else None,
+        world_T_camera=image.world_T_camera if drive.continuous else None,
+    )
+
+
+def _row(box: WorldBox, image: CameraImage) -> list[float] | None:
+    """The numbers of KITTI's line for a box in an image; None where it is not seen in it."""
+    pose = np.linalg.inv(image.world_T_camera) @ box.world_T_object
+    outline = box_outline(transform(pose, box_corners(box.size)), image.lens)
+    if outline is None:
+        return None
+    corners, truncation = outline
+    x, y, z = pose[:3, 3]
+    yaw = rotation_y(pose)
+    length, width, height = box.size
+    alpha = float(wrap_angle(yaw - np.arctan2(x, z)))
+    drawn = box.boxes.get(image.camera, corners)
+    score = np.nan if box.score is None else box.score
+    return [truncation, box.occlusion, alpha, *drawn, height, width, length, x, y, z, yaw, score]
+
+
+def chosen(names: Sequence[str], wanted: str | None, what: str, where: str) -> str:
+    """The name that is wanted, or the only one.
+
+    Raises:
+        InvalidInputError: There is no such name, or none is wanted and there are several; lists some.
+    """
+    if wanted in names:
+        return str(wanted)
+    if wanted is None and len(names) == 1:
+        return names[0]
+    listed = ", ".join([*names[:5], *(["..."] if len(names) > 5 else [])]) or "none"
+    value = wanted if wanted is not None else f"{len(names)} of them"
+    raise InvalidInputError(what, value, f"Name one of {where}: {listed}.")

@@ -1,0 +1,198 @@
+"""KITTI-360: sequences of perspective images with boxes in one world.
+
+A box is eight vertices, half a metre to each side, and a `transform` whose columns are the axes forward, left, up times
+length, width, height. Boxes without a `timestamp` (-1) stand still, and are taken for the frames from `start_frame` to
+`end_frame`. Poses are those of the GPS unit; the rectified images have `P_rect`, turned by `R_rect`.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, WorldBox, chosen
+from fgrecon.io.files import read_text
+
+Array = NDArray[np.float64]
+
+_CAMERAS = "image_00", "image_01"  # the perspective ones; image_02 and image_03 are fisheyes
+_RATE = 10.0  # frames per second, about
+_STATIC = -1
+_KINDS = {13: "car", 14: "truck", 15: "trailer", 16: "caravan", 17: "motorcycle", 18: "bicycle", 19: "person"} | {
+    20: "rider",
+    33: "train",
+    34: "bus",
+    36: "unknown vehicle",
+}
+"""Names by KITTI-360's numbers of the classes of things that move; its devkit's `kittiId`."""
+_CARS = {"car": "Car"}
+_FIX = "Give KITTI-360's files as they are."
+
+
+def matches(path: Path) -> bool:
+    """Whether it is KITTI-360's folder."""
+    return (path / "calibration" / "perspective.txt").is_file() and (path / "data_poses").is_dir()
+
+
+def sequences(path: Path) -> tuple[str, ...]:
+    """The names of the sequences that have poses."""
+    return tuple(sorted(file.parent.name for file in (path / "data_poses").glob("*/poses.txt")))
+
+
+def read(path: Path, sequence: str | None) -> DataSequence:
+    """A sequence; frames without a pose are left out.
+
+    Raises:
+        InvalidInputError: There is no such sequence, or a file is malformed; names file, line or object.
+    """
+    name = chosen(sequences(path), sequence, "sequence", str(path / "data_poses"))
+    poses = _frames(path / "data_poses" / name / "poses.txt")
+    labels = next((f for part in ("train", "train_full", "test") if (f := _labels(path, part, name)).is_file()), None)
+    boxes = {} if labels is None else _boxes(labels, tuple(poses))
+    moments = {
+        str(frame): Moment(
+            name=str(frame),
+            time=frame / _RATE,
+            world_T_vehicle=pose,
+            boxes=tuple(boxes[frame]),
+            sweep=path / "data_3d_raw" / name / "velodyne_points" / "data" / f"{frame:010d}.bin",
+        )
+        for frame, pose in poses.items()
+        if frame in boxes
+    }
+    mounts = _lines(path / "calibration" / "calib_cam_to_pose.txt")
+    intrinsics = _lines(path / "calibration" / "perspective.txt")
+    images = []
+    for camera in _CAMERAS:
+        lens, turn = _lens(intrinsics, camera, path)
+        vehicle_T_camera = _matrix(mounts, camera, (3, 4), path) @ np.linalg.inv(turn)
+        folder = path / "data_2d_raw" / name / camera / "data_rect"
+        images += [
+            CameraImage(
+                camera=camera,
+                path=folder / f"{frame:010d}.png",
+                name=f"{frame:010d}",
+                time=frame / _RATE,
+                lens=lens,
+                vehicle_T_camera=np.vstack([vehicle_T_camera, [0.0, 0.0, 0.0, 1.0]]),
+                world_T_vehicle=pose,
+                moment=str(frame) if frame in boxes else None,
+            )
+            for frame, pose in poses.items()
+        ]
+    return DataSequence(name, tuple(images), moments, _CARS)
+
+
+def _labels(path: Path, part: str, name: str) -> Path:
+    return path / "data_3d_bboxes" / part / f"{name}.xml"
+
+
+def _frames(path: Path) -> dict[int, Array]:
+    """(4, 4) world_T_vehicle by frame."""
+    found = {}
+    for number, line in enumerate(read_text(path, "poses").splitlines(), start=1):
+        if not line.strip():
+            continue
+        values = _numbers(line.split(), 13, f"{path}:{number}")
+        found[int(values[0])] = np.vstack([values[1:].reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
+    return found
+
+
+def _lines(path: Path) -> Mapping[str, list[str]]:
+    lines = (line.partition(":") for line in read_text(path, "calibration").splitlines())
+    return {name.strip(): values.split() for name, _, values in lines}
+
+
+def _matrix(lines: Mapping[str, list[str]], name: str, shape: tuple[int, int], path: Path) -> Array:
+    where = f"{path / 'calibration'}: {name}"
+    if name not in lines:
+        raise InvalidInputError(where, "no such line", _FIX)
+    return _numbers(lines[name], shape[0] * shape[1], where).reshape(shape)
+
+
+def _numbers(words: list[str], count: int, where: str) -> Array:
+    try:
+        values = np.array(words, dtype=np.float64)
+    except ValueError:
+        raise InvalidInputError(where, " ".join(words)[:80], f"Give {count} numbers.") from None
+    if len(values) != count or not np.isfinite(values).all():
+        raise InvalidInputError(where, " ".join(words)[:80], f"Give {count} numbers.")
+    return values
+
+
+def _lens(lines: Mapping[str, list[str]], camera: str, path: Path) -> tuple[Camera, Array]:
+    """The rectified camera, and (4, 4) its turn from the camera as it is mounted."""
+    side = camera[-2:]
+    turn = np.eye(4)
+    turn[:3, :3] = _matrix(lines, f"R_rect_{side}", (3, 3), path)
+    width, height = _matrix(lines, f"S_rect_{side}", (1, 2), path)[0].astype(int).tolist()
+    return Camera(_matrix(lines, f"P_rect_{side}", (3, 4), path)[:, :3], image_size=(width, height)), turn
+
+
+@lru_cache(maxsize=2)
+def _boxes(path: Path, frames: tuple[int, ...]) -> Mapping[int, list[WorldBox]]:
+    """The boxes of each frame that the file speaks of."""
+    try:
+        root = ET.parse(path).getroot()  # noqa: S314  # expat bounds what entities may expand to
+    except (OSError, ET.ParseError) as error:
+        raise InvalidInputError(str(path), str(error), "Give an XML file of KITTI-360's boxes.") from error
+    found: dict[int, list[WorldBox]] = defaultdict(list)
+    for item in root:
+        if item.find("transform") is None or item.find("semanticId") is None:
+            continue  # a surface, such as the ground
+        where = f"{path}: {item.tag}."
+        start, end, time, kind, instance = (
+            _whole(item, name, where) for name in ("start_frame", "end_frame", "timestamp", "semanticId", "instanceId")
+        )
+        pose, size = _box(item, where)
+        shown = [time] if time != _STATIC else [frame for frame in frames if start <= frame <= end]
+        track = f"{kind}-{instance}"
+        for frame in shown:
+            found[frame].append(WorldBox(f"{item.tag}@{frame}", _KINDS.get(kind, str(kind)), pose, size, track))
+    return found
+
+
+def _box(item: ET.Element, where: str) -> tuple[Array, Array]:
+    """Pose of the centre with axes forward, left, up, and length, width and height."""
+    matrix, vertices = _opencv(item, "transform", where), _opencv(item, "vertices", where)
+    scaled, scale = matrix[:3, :3], np.linalg.norm(matrix[:3, :3], axis=0)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    if matrix.shape != (4, 4) or vertices.shape != (8, 3) or not (scale > 0.0).all() or not (high > low).all():
+        raise InvalidInputError(f"{where}transform", matrix.tolist(), "Give 4x4 numbers and the vertices of a box.")
+    axes = scaled / scale
+    if np.abs(axes.T @ axes - np.eye(3)).max() > 1e-3:
+        raise InvalidInputError(f"{where}transform", matrix.tolist(), "Give axes at right angles.")
+    if np.linalg.det(axes) < 0.0:  # mirrored: the same box with its left on the other side
+        axes[:, 1] = -axes[:, 1]
+        low[1], high[1] = -high[1], -low[1]
+    pose = np.eye(4)
+    pose[:3, :3] = axes
+    pose[:3, 3] = matrix[:3, 3] + axes @ (scale * (low + high) / 2.0)
+    return pose, scale * (high - low)
+
+
+def _opencv(item: ET.Element, name: str, where: str) -> Array:
+    """A matrix as OpenCV writes it."""
+    node = item.find(name)
+    parts = [] if node is None else [node.findtext(part) for part in ("rows", "cols", "data")]
+    try:
+        rows, columns, data = (part or "" for part in parts)
+        return _numbers(data.split(), int(rows) * int(columns), f"{where}{name}").reshape(int(rows), int(columns))
+    except ValueError:
+        raise InvalidInputError(f"{where}{name}", "no matrix", "Give rows, cols and data.") from None
+
+
+def _whole(item: ET.Element, name: str, where: str) -> int:
+    text = item.findtext(name)
+    try:
+        return int(text or "")
+    except ValueError:
+        raise InvalidInputError(f"{where}{name}", text, "Give a whole number.") from None

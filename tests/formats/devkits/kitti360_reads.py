@@ -1,0 +1,48 @@
+"""What kitti360scripts makes of its folder: run in its own environment, FOLDER.
+
+It has no vertices of boxes by name: they are told apart by where they lie in the unit box, which its files have. Its
+pixels are rounded to whole ones: those before are made from its points and its matrix.
+"""
+
+import io
+import json
+import sys
+from contextlib import redirect_stdout
+
+import numpy as np
+
+from kitti360scripts.helpers.annotation import Annotation3D
+from kitti360scripts.helpers.project import CameraPerspective
+
+root, name = sys.argv[1], "2013_05_28_drive_0000_sync"
+with redirect_stdout(io.StringIO()):
+    labels = Annotation3D(f"{root}/data_3d_bboxes", name)
+found = {"corners": {}, "images": {}}
+for camera in (0, 1):
+    lens = CameraPerspective(root, name, camera)
+    for frame in (7, 8):
+        seen = {}
+        for by_time in labels.objects.values():
+            for time, box in by_time.items():
+                if time not in (-1, frame):
+                    continue
+                unit = np.linalg.solve(box.R, (box.vertices - box.T).T).T
+                ours = [(x, y, z) for x in (-1, 1) for z in (-1, 1) for y in (-1, 1)]
+                corners = np.array(
+                    [
+                        box.vertices[int(np.argmin(np.abs(np.sign(unit) - np.array([x, y, z])).sum(1)))]
+                        for x, y, z in ours
+                    ]
+                )
+                place = lens.cam2world[frame]
+                points = lens.world2cam(corners, place[:3, :3], place[:3, 3], inverse=True)  # (3, 8)
+                whole = np.array(lens.cam2image(points.copy())[:2]).T  # rounded to whole pixels
+                exact = lens.K[:3, :3] @ points
+                pixels = (exact[:2] / exact[2]).T
+                ahead = points[2] > 0.1
+                assert np.abs(whole - pixels)[ahead].max(initial=0.0) <= 0.5
+                key = f"object{box.annotationId - 1}@{frame}"
+                found["corners"][key] = corners.tolist()
+                seen[key] = {"corners": points.T.tolist(), "pixels": np.where(ahead[:, None], pixels, 0.0).tolist()}
+        found["images"][f"image_{camera:02d}/{frame:010d}"] = seen
+json.dump(found, sys.stdout)

@@ -1,0 +1,490 @@
+"""A made-up scene of five vehicles and two cameras, and its files as data sets have them.
+
+Nothing here uses fgrecon: the files are made from the numbers by numpy and scipy alone.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""From a camera's axes right, down, forward to axes forward, left, up."""
+WIDTH, HEIGHT = 1600, 900
+TIMES_NS = 315968867_000_000_000, 315968867_100_000_000  # of the two sweeps
+SHIFT_NS = 5_000_000  # the images are so much later
+
+
+def pose(turn, place):
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = Rotation.from_euler("ZYX", turn).as_matrix(), place
+    return matrix
+
+
+def wxyz(matrix):
+    x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist()
+    return [w, x, y, z]
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """Where its centre is from the vehicle with the cameras at the first time, heading, and length, width, height."""
+
+    name: str
+    place: tuple[float, float, float]
+    heading: float
+    size: tuple[float, float, float]
+
+    def vehicle_T_box(self):
+        return pose([self.heading, 0.0, 0.0], self.place)
+
+
+VEHICLES = (
+    Vehicle("ahead", (14.0, 1.5, 0.75), 0.1, (4.2, 1.8, 1.5)),
+    Vehicle("oncoming", (25.0, 5.0, 0.8), np.pi - 1e-3, (4.6, 1.9, 1.6)),
+    Vehicle("crossing", (18.0, -4.0, 0.7), -np.pi + 1e-3, (3.9, 1.7, 1.4)),
+    Vehicle("cut-off", (4.5, 3.0, 0.9), 1.7, (5.1, 2.0, 1.8)),
+    Vehicle("behind", (-12.0, -2.0, 0.75), -2.4, (4.4, 1.8, 1.5)),
+)
+
+
+@dataclass(frozen=True)
+class Mounted:
+    name: str
+    matrix: np.ndarray
+    vehicle_T_camera: np.ndarray
+
+
+def _camera(name, focal, centre, turn, place):
+    matrix = np.array([[focal, 0.0, centre[0]], [0.0, focal + 1.5, centre[1]], [0.0, 0.0, 1.0]])
+    mount = pose(turn, place)
+    mount[:3, :3] = mount[:3, :3] @ AHEAD
+    return Mounted(name, matrix, mount)
+
+
+CAMERAS = (
+    _camera("front", 1266.4, (816.3, 491.5), [0.01, 0.02, -0.005], [1.7, 0.02, 1.51]),
+    _camera("back", 809.2, (829.2, 481.8), [np.pi - 0.02, -0.01, 0.01], [0.03, -0.01, 1.56]),
+)
+
+
+def world_T_vehicle(time_ns):
+    """Pose of the vehicle with the cameras: it drives round a bend, and leans a little."""
+    seconds = (time_ns - TIMES_NS[0]) * 1e-9
+    return pose([0.7 + 0.2 * seconds, 0.004, -0.006], [411.3 + 8.0 * seconds, 1180.8 + 5.0 * seconds, 0.2])
+
+
+def world_T_box(vehicle, time_ns):
+    """Pose of a vehicle's centre; each drives on at 3 m/s."""
+    seconds = (time_ns - TIMES_NS[0]) * 1e-9
+    here = vehicle.vehicle_T_box()
+    here[:3, 3] += here[:3, 0] * 3.0 * seconds
+    return world_T_vehicle(TIMES_NS[0]) @ here
+
+
+def write_image(path: Path):
+    """An image of the cameras' size, in stripes."""
+    import cv2
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), np.tile(np.arange(WIDTH, dtype=np.uint8), (HEIGHT, 1)))
+
+
+def _write_tables(folder: Path, tables: dict[str, list]):
+    folder.mkdir(parents=True)
+    for name, content in tables.items():
+        (folder / f"{name}.json").write_text(json.dumps(content))
+
+
+def write_nuscenes(root: Path, *, trucks: bool = False) -> Path:
+    """Tables of one scene: two key frames and a sweep between them; as TruckScenes has them on request."""
+    samples = [f"s{i}" for i in range(len(TIMES_NS))]
+    shots = [(TIMES_NS[0], "s0", True), (TIMES_NS[0] + 50_000_000, "s1", False), (TIMES_NS[1], "s1", True)]
+    sensors = [
+        ("lidar", "LIDAR_TOP", np.eye(4), []),
+        *((c.name, f"CAM_{c.name.upper()}", c.vehicle_T_camera, c.matrix.tolist()) for c in CAMERAS),
+    ]
+    data, poses = [], []
+    for number, (time, sample, key) in enumerate(shots):
+        for name, channel, _, matrix in sensors:
+            taken = time + (SHIFT_NS if matrix else 0)
+            token, ending = f"d{number}{name}", "jpg" if matrix else "pcd.bin"
+            file = f"{'samples' if key else 'sweeps'}/{channel}/{token}.{ending}"
+            poses.append(
+                {
+                    "token": f"e{token}",
+                    "timestamp": taken // 1000,
+                    "rotation": wxyz(world_T_vehicle(taken)),
+                    "translation": world_T_vehicle(taken)[:3, 3].tolist(),
+                }
+            )
+            data.append(
+                {
+                    "token": token,
+                    "sample_token": sample,
+                    "ego_pose_token": f"e{token}",
+                    "calibrated_sensor_token": f"c{name}",
+                    "timestamp": taken // 1000,
+                    "fileformat": ending,
+                    "is_key_frame": key,
+                    "height": HEIGHT if matrix else 0,
+                    "width": WIDTH if matrix else 0,
+                    "filename": file,
+                    "prev": "",
+                    "next": "",
+                }
+            )
+            if matrix:
+                write_image(root / file)
+            else:
+                (root / file).parent.mkdir(parents=True, exist_ok=True)
+                np.zeros((3, 5), dtype=np.float32).tofile(root / file)
+    labels = [
+        {
+            "token": f"a{i}{v.name}",
+            "sample_token": samples[i],
+            "instance_token": f"i{v.name}",
+            "visibility_token": "4",
+            "attribute_tokens": [],
+            "translation": world_T_box(v, time)[:3, 3].tolist(),
+            "size": [v.size[1], v.size[0], v.size[2]],
+            "rotation": wxyz(world_T_box(v, time)),
+            "prev": "" if i == 0 else f"a{i - 1}{v.name}",
+            "next": f"a{i + 1}{v.name}" if i + 1 < len(TIMES_NS) else "",
+            "num_lidar_pts": 1,
+            "num_radar_pts": 0,
+        }
+        for i, time in enumerate(TIMES_NS)
+        for v in VEHICLES
+    ]
+    tables = {
+        "sensor": [{"token": f"s{n}", "channel": c, "modality": "camera" if m else "lidar"} for n, c, _, m in sensors],
+        "calibrated_sensor": [
+            {
+                "token": f"c{n}",
+                "sensor_token": f"s{n}",
+                "translation": p[:3, 3].tolist(),
+                "rotation": wxyz(p),
+                "camera_intrinsic": m,
+            }
+            for n, _, p, m in sensors
+        ],
+        "ego_pose": poses,
+        "sample_data": data,
+        "sample": [
+            {
+                "token": t,
+                "timestamp": time // 1000,
+                "scene_token": "scene",
+                "prev": "" if i == 0 else samples[i - 1],
+                "next": samples[i + 1] if i + 1 < len(samples) else "",
+            }
+            for i, (t, time) in enumerate(zip(samples, TIMES_NS, strict=True))
+        ],
+        "sample_annotation": labels,
+        "instance": [
+            {
+                "token": f"i{v.name}",
+                "category_token": "car",
+                "nbr_annotations": 2,
+                "first_annotation_token": f"a0{v.name}",
+                "last_annotation_token": f"a1{v.name}",
+            }
+            for v in VEHICLES
+        ],
+        "category": [{"token": "car", "name": "vehicle.car", "description": "", "index": 1}],
+        "attribute": [],
+        "visibility": [{"token": str(i), "level": "", "description": ""} for i in range(1, 5)],
+        "scene": [
+            {
+                "token": "scene",
+                "log_token": "log",
+                "nbr_samples": 2,
+                "first_sample_token": "s0",
+                "last_sample_token": "s1",
+                "name": "scene-0001",
+                "description": "",
+            }
+        ],
+        "log": [{"token": "log", "logfile": "", "vehicle": "", "date_captured": "", "location": "nowhere"}],
+        "map": [{"token": "map", "log_tokens": ["log"], "category": "semantic_prior", "filename": ""}],
+    }
+    if trucks:
+        del tables["map"]
+        tables |= {"ego_motion_cabin": [], "ego_motion_chassis": []}
+    folder = root / "v1.0-mini"
+    _write_tables(folder, tables)
+    return folder
+
+
+def write_argoverse2(root: Path, log: str = "adcf7d18-0510-35b0-a2fa-b4cea13a6d76") -> Path:
+    """A log of two labelled sweeps."""
+    import pyarrow as pa
+    from pyarrow import feather
+
+    folder = root / "val" / log
+    names = {"front": "ring_front_center", "back": "ring_rear_left"}
+
+    def poses(items, key):
+        rows = [(k, *wxyz(p), *p[:3, 3]) for k, p in items]
+        columns = (key, "qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+        return dict(zip(columns, map(list, zip(*rows, strict=True)), strict=True))
+
+    def write(path, columns):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        feather.write_feather(pa.table(columns), path, compression="uncompressed")
+
+    taken = [time + SHIFT_NS for time in TIMES_NS]
+    write(
+        folder / "city_SE3_egovehicle.feather",
+        poses([(t, world_T_vehicle(t)) for t in sorted([*TIMES_NS, *taken])], "timestamp_ns"),
+    )
+    write(
+        folder / "calibration/egovehicle_SE3_sensor.feather",
+        poses([("up_lidar", np.eye(4)), *((names[c.name], c.vehicle_T_camera) for c in CAMERAS)], "sensor_name"),
+    )
+    write(
+        folder / "calibration/intrinsics.feather",
+        {
+            "sensor_name": [names[c.name] for c in CAMERAS],
+            **{
+                f"{n}_px": [float(c.matrix[i]) for c in CAMERAS]
+                for n, i in (("fx", (0, 0)), ("fy", (1, 1)), ("cx", (0, 2)), ("cy", (1, 2)))
+            },
+            **{k: [0.01 * (i + 1) for _ in CAMERAS] for i, k in enumerate(("k1", "k2", "k3"))},
+            "height_px": pa.array([HEIGHT] * 2, pa.int64()),
+            "width_px": pa.array([WIDTH] * 2, pa.int64()),
+        },
+    )
+    rows = [(t, v, np.linalg.inv(world_T_vehicle(t)) @ world_T_box(v, t)) for t in TIMES_NS for v in VEHICLES]
+    places = poses([(t, p) for t, _, p in rows], "timestamp_ns")
+    write(
+        folder / "annotations.feather",
+        {
+            **places,
+            "track_uuid": [v.name for _, v, _ in rows],
+            "category": ["REGULAR_VEHICLE"] * len(rows),
+            **{f"{n}_m": [v.size[i] for _, v, _ in rows] for i, n in enumerate(("length", "width", "height"))},
+            "num_interior_pts": pa.array([1] * len(rows), pa.int64()),
+        },
+    )
+    for time in taken:
+        for name in names.values():
+            write_image(folder / "sensors/cameras" / name / f"{time}.jpg")
+    for time in TIMES_NS:
+        write(folder / "sensors/lidar" / f"{time}.feather", {n: pa.array([1.0, 2.0], pa.float16()) for n in "xyz"})
+    return folder.parent
+
+
+def write_kitti360(root: Path, name: str = "2013_05_28_drive_0000_sync") -> Path:
+    """A sequence of two frames; one vehicle stands still."""
+    for folder in ("calibration", f"data_poses/{name}", "data_3d_bboxes/train"):
+        (root / folder).mkdir(parents=True)
+    turn = Rotation.from_euler("xyz", [0.003, -0.002, 0.004]).as_matrix()
+    text, mounts = [], []
+    for i, camera in enumerate(CAMERAS):
+        fx, fy, cx, cy = camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
+        text += [
+            f"P_rect_{i:02d}: {fx} 0 {cx} {-300.0 * i} 0 {fy} {cy} 0 0 0 1 0",
+            f"R_rect_{i:02d}: {' '.join(map(repr, turn.ravel().tolist()))}",
+            f"S_rect_{i:02d}: {WIDTH}.0 {HEIGHT}.0",
+        ]
+        mounts.append(f"image_{i:02d}: {' '.join(map(repr, camera.vehicle_T_camera[:3].ravel().tolist()))}")
+    mounts += [f"image_{i:02d}: {' '.join(map(repr, np.eye(4)[:3].ravel().tolist()))}" for i in (2, 3)]
+    (root / "calibration/perspective.txt").write_text("\n".join(["calib_time: 09-Jan-2012", *text]) + "\n")
+    (root / "calibration/calib_cam_to_pose.txt").write_text("\n".join(mounts) + "\n")
+    rows = [f"{i + 7} {' '.join(map(repr, world_T_vehicle(t)[:3].ravel().tolist()))}" for i, t in enumerate(TIMES_NS)]
+    (root / f"data_poses/{name}/poses.txt").write_text("\n".join(rows) + "\n")
+    items = []
+    for number, v in enumerate(VEHICLES):
+        static = v.name == "ahead"
+        for i, time in enumerate(TIMES_NS[: 1 if static else 2]):
+            matrix = world_T_box(v, time)
+            matrix[:3, :3] = matrix[:3, :3] * v.size
+            items.append(_kitti360_object(len(items), number, matrix, -1 if static else i + 7))
+    (root / f"data_3d_bboxes/train/{name}.xml").write_text(
+        f'<?xml version="1.0"?>\n<opencv_storage>{"".join(items)}</opencv_storage>\n'
+    )
+    for i in range(2):
+        for frame in (7, 8):
+            write_image(root / f"data_2d_raw/{name}/image_{i:02d}/data_rect/{frame:010d}.png")
+    return root
+
+
+def _kitti360_object(index: int, instance: int, matrix: np.ndarray, time: int) -> str:
+    vertices = np.array([[x, y, z] for x in (0.5, -0.5) for y in (0.5, -0.5) for z in (-0.5, 0.5)])
+
+    def opencv(tag, values):
+        data = " ".join(map(repr, np.asarray(values, dtype=float).ravel().tolist()))
+        inside = {"rows": len(values), "cols": len(values[0]), "dt": "f", "data": data}
+        return f'<{tag} type_id="opencv-matrix">{_tags(inside)}</{tag}>'
+
+    faces = [[0, 1, 2], [1, 2, 3]]
+    plain = {
+        "index": index,
+        "label": "car",
+        "semanticId": 13,
+        "instanceId": instance,
+        "start_frame": 7,
+        "end_frame": 8,
+        "timestamp": time,
+        "dynamic": int(time >= 0),
+    }
+    parts = f"{opencv('transform', matrix)}{opencv('vertices', vertices)}{opencv('faces', faces)}"
+    return f"<object{index}>{parts}{_tags(plain)}</object{index}>"
+
+
+def _tags(values: dict) -> str:
+    return "".join(f"<{name}>{value}</{name}>" for name, value in values.items())
+
+
+def write_cityscapes3d(root: Path) -> Path:
+    """An image a camera, of a city each."""
+    for camera, city in zip(CAMERAS, ("aachen", "bochum"), strict=True):
+        stem = f"{city}_000000_000019"
+        there = np.linalg.inv(
+            camera.vehicle_T_camera @ np.block([[AHEAD.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
+        )
+        fx, fy, cx, cy = camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+        objects = [
+            {
+                "2d": {"modal": [0, 0, 10, 10], "amodal": [0, 0, 10, 10]},
+                "3d": {
+                    "center": v.vehicle_T_box()[:3, 3].tolist(),
+                    "dimensions": list(v.size),
+                    "rotation": wxyz(v.vehicle_T_box()),
+                    "type": "",
+                    "format": "CRS_ISO8855",
+                },
+                "occlusion": 0.0,
+                "truncation": 0.0,
+                "instanceId": 26000 + i,
+                "label": "car",
+                "score": 1.0,
+            }
+            for i, v in enumerate(VEHICLES)
+        ]
+        path = root / "gtBbox3d/val" / city / f"{stem}_gtBbox3d.json"
+        path.parent.mkdir(parents=True)
+        path.write_text(
+            json.dumps(
+                {
+                    "imgWidth": WIDTH,
+                    "imgHeight": HEIGHT,
+                    "sensor": {
+                        "sensor_T_ISO_8855": there[:3].tolist(),
+                        "fx": fx,
+                        "fy": fy,
+                        "u0": cx,
+                        "v0": cy,
+                        "baseline": 0.2,
+                    },
+                    "objects": objects,
+                    "ignore": [],
+                }
+            )
+        )
+        write_image(root / "leftImg8bit/val" / city / f"{stem}_leftImg8bit.png")
+    return root
+
+
+def waymo_scene() -> dict:
+    """The scene as `devkits/waymo_writes.py` takes it: two frames, two of the cameras, which have a lens."""
+    import cv2
+
+    frames = []
+    for time in TIMES_NS:
+        boxes = []
+        for v in VEHICLES:
+            here = np.linalg.inv(world_T_vehicle(TIMES_NS[0])) @ world_T_box(v, time)
+            heading = float(np.arctan2(here[1, 0], here[0, 0]))
+            boxes.append({"name": v.name, "place": here[:3, 3].tolist(), "size": list(v.size), "heading": heading})
+        start, taken = world_T_vehicle(TIMES_NS[0]).tolist(), world_T_vehicle(TIMES_NS[0] + SHIFT_NS).tolist()
+        frames.append({"micros": time // 1000, "pose": start, "image_pose": taken, "boxes": boxes})
+    undone = np.vstack([np.hstack([AHEAD.T, np.zeros((3, 1))]), [0.0, 0.0, 0.0, 1.0]])
+    cameras = [
+        {
+            "number": number,
+            "matrix": camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(),
+            "lens": [0.04, -0.02, 0.001, -0.002, 0.0],
+            "pose": (camera.vehicle_T_camera @ undone).tolist(),
+        }
+        for number, camera in zip((1, 4), CAMERAS, strict=True)
+    ]
+    image = cv2.imencode(".jpg", np.zeros((HEIGHT, WIDTH), np.uint8))[1].tobytes().hex()
+    return {"width": WIDTH, "height": HEIGHT, "image": image, "frames": frames, "cameras": cameras}
+
+
+def write_waymo(root: Path, name: str = "1005081002024129653_5313_150_5333_150") -> Path:
+    """The tables of `devkits/waymo_writes.py`, as far as they are read."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    scene = waymo_scene()
+    time, camera = "key.frame_timestamp_micros", "key.camera_name"
+    lenses, boxes, images = (f"[{part}Component]" for part in ("CameraCalibration", "LiDARBox", "CameraImage"))
+    matrix = pa.list_(pa.float64(), 16)
+    numbers = dict.fromkeys((time, "num"), pa.int64()) | {camera: pa.int8(), f"{boxes}.type": pa.int8()}
+
+    def write(folder, rows):
+        columns = {}
+        for key in rows[0]:
+            kind = matrix if key.endswith("transform") else numbers.get(key)
+            columns[key] = pa.array([row[key] for row in rows], kind)
+        (root / folder).mkdir(parents=True)
+        pq.write_table(pa.table(columns), root / folder / f"{name}.parquet")
+
+    def flat(values):
+        return np.ravel(values).tolist()
+
+    frames, cameras = scene["frames"], scene["cameras"]
+    poses = "[VehiclePoseComponent].world_from_vehicle.transform"
+    write("vehicle_pose", [{time: f["micros"], poses: flat(f["pose"])} for f in frames])
+    intrinsics = ("f_u", "f_v", "c_u", "c_v", "k1", "k2", "p1", "p2", "k3")
+    write(
+        "camera_calibration",
+        [
+            {
+                camera: c["number"],
+                **{f"{lenses}.intrinsic.{n}": v for n, v in zip(intrinsics, c["matrix"] + c["lens"], strict=True)},
+                f"{lenses}.extrinsic.transform": flat(c["pose"]),
+                f"{lenses}.width": WIDTH,
+                f"{lenses}.height": HEIGHT,
+            }
+            for c in cameras
+        ],
+    )
+    write(
+        "lidar_box",
+        [
+            {
+                time: f["micros"],
+                "key.laser_object_id": b["name"],
+                **{f"{boxes}.box.center.{a}": v for a, v in zip("xyz", b["place"], strict=True)},
+                **{f"{boxes}.box.size.{a}": v for a, v in zip("xyz", b["size"], strict=True)},
+                f"{boxes}.box.heading": b["heading"],
+                f"{boxes}.type": 1,
+            }
+            for f in frames
+            for b in f["boxes"]
+        ],
+    )
+    write(
+        "camera_image",
+        [
+            {
+                time: f["micros"],
+                camera: c["number"],
+                f"{images}.image": bytes.fromhex(scene["image"]),
+                f"{images}.pose.transform": flat(f["image_pose"]),
+                f"{images}.pose_timestamp": f["micros"] * 1e-6,
+            }
+            for f in frames
+            for c in cameras
+        ],
+    )
+    return root
