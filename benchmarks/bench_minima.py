@@ -96,7 +96,8 @@ def problem(case: Case, number: int) -> Problem:
     options = Options(strategy=case.strategy, keep_history=False)
     ground = None if "ground" not in told else fgrecon.Ground.level(told["ground"])
     model = prepare(prior, size_prior(told["size"]) if "size" in told else None, None)
-    return Problem.of(observe(observation, KITTI_CAMERA, prior.category, options), KITTI_CAMERA, model, ground, options)
+    seen, _ = observe(observation, KITTI_CAMERA, prior.category, options)
+    return Problem.of(seen, KITTI_CAMERA, model, ground, options)
 
 
 def wide_search(one: Problem, starts: int, rng: np.random.Generator) -> list[Alternative]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
-from fgrecon.core.errors import ContradictoryInputWarning
+from fgrecon.core.errors import ContradictoryInputWarning, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
 
@@ -40,6 +40,10 @@ _FEW = 0.25  # of a vehicle's keypoints
 _SQUARE = 0.1  # by which fx and fy may differ: pixels are square
 _SCALES = 0.2, 0.25  # logarithms: how much less the sides' ratios differ, and how far they are from 1, of another size
 _WIDEST, _NARROWEST = 140.0, 8.0  # degrees: horizontal fields of view of cameras
+_JUDGED = 5  # keypoints from which on one is judged by how far it is from the others
+_STRAY = 10.0  # times the median of these distances; on KITTI's tracks no keypoint has more than 3.6
+_MARKS = [-999.0, -1000.0, -9999.0, 9999.0, 99999.0]  # for u and v of a point that is missing
+_WIDEST_RAY = 11.4  # tangent of 85 degrees beside the axis
 _LEANING, _ABOVE = math.radians(35.0), 0.35  # of results: tilt against the camera, and height over it by the distance
 
 _Array = NDArray[np.float64]
@@ -89,6 +93,15 @@ _SENTENCES = {
 }
 
 
+REASONS = {
+    InputWarning.PRINCIPAL_POINT: "the principal point of its camera is outside of the image",
+    InputWarning.OTHER_SIZE: "the principal point of its camera is the middle of an image of another size",
+    InputWarning.SQUARE: "the pixels of its camera are far from square",
+    InputWarning.FIELD_OF_VIEW: "hardly a lens has the field of view of its camera",
+    InputWarning.AIR: "it is high up in the air, or leans by tens of degrees against the camera",
+}
+"""Of what is doubtful of a camera: the clauses of results that are weak by it."""
+
 _BEFORE = frozenset(InputWarning) - {InputWarning.MIRRORED, InputWarning.AIR, InputWarning.FIT}
 """What is doubtful before a vehicle is solved, whose fit then says nothing more."""
 
@@ -108,6 +121,14 @@ class InputWarnings:
     judged: int = 0
     counts: Counter[InputWarning] = field(default_factory=Counter)
     names: dict[InputWarning, list[str]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, found: Mapping[str, InputWarning | None]) -> InputWarnings:
+        """What was found of vehicles before they are solved, by their names."""
+        doubts = cls()
+        for name, doubt in found.items():
+            doubts.add(name, doubt)
+        return doubts
 
     def add(self, name: str, doubt: InputWarning | None) -> None:
         """Count a vehicle."""
@@ -165,8 +186,13 @@ def warn(line: str, stacklevel: int) -> None:
 
 
 def input_warning_of(observation: Observation, camera: Camera) -> InputWarning | None:
-    """What must be wrong with a vehicle's keypoints or its camera, if anything, before it is solved."""
-    return _doubt_of_keypoints(observation, camera) or camera_warning_of(camera)
+    """What must be wrong with a vehicle's keypoints as they are given, or its camera, if anything.
+
+    Of what a network detected with the vehicle's direction, whose names of keypoints are its own, only the camera is
+    doubted.
+    """
+    detected = observation.azimuth is not None
+    return (None if detected else _doubt_of_keypoints(observation, camera)) or camera_warning_of(camera)
 
 
 def camera_warning_of(camera: Camera) -> InputWarning | None:
@@ -207,20 +233,68 @@ def _doubt_of_keypoints(observation: Observation, camera: Camera) -> InputWarnin
     return None
 
 
+def strays(observation: Observation, camera: Camera) -> list[tuple[NDArray[np.bool_], str]]:
+    """The keypoints (K,) where their vehicle cannot be, by reasons: whatever their weight, noise goes by the extent.
+
+    These are marks of other programs for what is missing, points far outside of an image of known size, and points
+    absurdly far from the others.
+
+    Raises:
+        InvalidInputError: By the intrinsics, which are of another unit, most others are where no pinhole sees.
+    """
+    pixels, measured = observation.keypoints, observation.measured
+    marks = np.asarray(np.isin(pixels, _MARKS).all(axis=1))
+    found, left = [(marks, "other programs mark so what is missing")], ~marks
+    if camera.image_size is not None:
+        size = np.array(camera.image_size, dtype=np.float64)
+        outside = left & _outside(pixels, -FARTHEST_OUTSIDE * size, (1.0 + FARTHEST_OUTSIDE) * size)
+        if 2 * np.count_nonzero(outside) < np.count_nonzero(measured & left):  # else it is another image
+            image = f"{camera.image_size[0]} x {camera.image_size[1]}"
+            found, left = [*found, (outside, f"far outside of the image of {image}")], left & ~outside
+    points = pixels[measured & left]
+    if len(points) >= _JUDGED:
+        away = np.abs(pixels - np.median(points, axis=0)).max(axis=1)
+        with np.errstate(invalid="ignore"):
+            far = np.asarray(left & (away > _STRAY * max(float(np.median(away[measured & left])), 1.0)))
+        found, left = [*found, (far, "far from all others")], left & ~far
+    _check_rays(pixels[measured & left], camera)
+    return found
+
+
+def _check_rays(points: _Array, camera: Camera) -> None:
+    """Refuse intrinsics of another unit: by them most points (N, 2) are where no pinhole sees.
+
+    Raises:
+        InvalidInputError: They are.
+    """
+    if not len(points):
+        return
+    aside = float(np.median(np.abs((points - camera.matrix[:2, 2]) / camera.matrix.diagonal()[:2]).max(axis=1)))
+    if aside > _WIDEST_RAY:
+        degrees = np.degrees(np.arctan(aside))
+        fix = "Give K in pixels of this image."
+        raise InvalidInputError("intrinsics", f"keypoints {degrees:.1f} degrees beside the camera's axis", fix)
+
+
 def result_warning_of(observation: Observation, result: Reconstruction) -> InputWarning | None:
     """What must be wrong with a vehicle's keypoints or its camera, if anything, by its result."""
     if result.diagnostics.mirrored_gain > MIRRORED_GAIN:
         return InputWarning.MIRRORED
     share = fit_share(observation, result.diagnostics.weights)
-    if share is not None and share < _FEW:
+    if observation.azimuth is None and share is not None and share < _FEW:
         return InputWarning.FIT
-    pose = result.camera_T_object
     grounded = "ground" in result.diagnostics.energies  # which says how the camera looks at it
-    if result.status.determined and not grounded and np.isfinite(pose).all():
-        x, y, z = pose[:3, 3].tolist()
-        if pose[1, 1] < math.cos(_LEANING) or -y > _ABOVE * math.hypot(x, z):
-            return InputWarning.AIR
+    if result.status.determined and not grounded and in_the_air(result.camera_T_object):
+        return InputWarning.AIR
     return None
+
+
+def in_the_air(camera_T_object: _Array) -> bool:
+    """Whether a vehicle at a pose (4, 4) is high up in the air, or leans by tens of degrees against the camera."""
+    if not np.isfinite(camera_T_object).all():
+        return False
+    x, y, z = camera_T_object[:3, 3].tolist()
+    return bool(camera_T_object[1, 1] < math.cos(_LEANING) or -y > _ABOVE * math.hypot(x, z))
 
 
 def fit_share(observation: Observation, weights: _Array) -> float | None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.half_turn import flipped_alternative
+from fgrecon.core.input_warnings import InputWarning
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.solve.detected import KnownBox
@@ -82,11 +83,12 @@ class IndependentVehicle:
 
 @dataclass(frozen=True)
 class IndependentSolve:
-    """All vehicles solved one by one with one camera."""
+    """All vehicles solved one by one with one camera; `warnings` has what must be wrong with what was given."""
 
     camera: Camera
     vehicles: dict[int, IndependentVehicle]
     refused: dict[int, FgreconError]
+    warnings: dict[int, InputWarning | None]
 
     @property
     def solved(self) -> dict[int, IndependentVehicle]:
@@ -116,9 +118,10 @@ def solve_independently(
     solved: dict[int, IndependentVehicle] = {}
     refused: dict[int, FgreconError] = {}
     seen: dict[int, Observation] = {}
+    warnings: dict[int, InputWarning | None] = {}
     for number, given in enumerate(observations):
         try:
-            seen[number] = observe(given, camera, setup.prior.category, setup.options)
+            seen[number], warnings[number] = observe(given, camera, setup.prior.category, setup.options)
         except FgreconError as error:
             refused[number] = error
     coupled: dict[int, Observation] = {}
@@ -140,7 +143,7 @@ def solve_independently(
         solved[number] = IndependentVehicle(
             problem, start, minimise_from_proposals([GraphObservation(problem)], [start], steady=steady)
         )
-    return IndependentSolve(camera, solved, refused)
+    return IndependentSolve(camera, solved, refused, warnings)
 
 
 def _with_box(problem: Problem, box: KnownBox) -> IndependentVehicle:

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from numbers import Real
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,18 +16,10 @@ from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_instance, as_list, as_rigid, as_shape
-from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.input_warnings import (
-    FARTHEST_OUTSIDE,
-    InputWarning,
-    InputWarnings,
-    camera_warning_of,
-    input_warning_of,
-    result_warning_of,
-)
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.input_warnings import InputWarning, input_warning_of, strays
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options, checked_options
-from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike, check_order, size_prior
 from fgrecon.io.catalogue import load_prior
@@ -42,10 +33,6 @@ Array = NDArray[np.float64]
 _CAMERA_NUMBERS = Real, np.ndarray, list, tuple  # what a matrix, or fx, fy, cx, cy, are made of
 _TURN = 2.0 * np.pi + 1e-6  # radians; what is more is in degrees
 _ROTATION_TOLERANCE = 1e-4  # of a camera's pose: more digits than that are seldom lost
-_JUDGED = 5  # keypoints from which on one is judged by how far it is from the others
-_STRAY = 10.0  # times the median of these distances; on KITTI's tracks no keypoint has more than 3.6
-_MARKS = [-999.0, -1000.0, -9999.0, 9999.0, 99999.0]  # for u and v of a point that is missing
-_WIDEST_RAY = 11.4  # tangent of 85 degrees beside the axis
 _ROUNDING = 1e-9  # share of the largest number of a covariance that is rounding
 
 
@@ -100,6 +87,13 @@ def _usual_size(prior: ShapePrior) -> Array:
     return prior.box_size(np.zeros(prior.dimension))
 
 
+class Observed(NamedTuple):
+    """What a vehicle is solved from, and what must be wrong with what was given or with the camera, if anything."""
+
+    observation: Observation
+    warning: InputWarning | None
+
+
 def observe(
     keypoints: KeypointsLike,
     camera: Camera,
@@ -109,14 +103,14 @@ def observe(
     confidence: ArrayLike | None = None,
     box: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
-) -> Observation:
+) -> Observed:
     """The observation that is solved from: checked against the category, and freed of lens distortion.
 
     Raises:
         InvalidInputError: An array has the wrong shape or values, something is given twice, or the box is outside of
             the image.
     """
-    observation = _as_observation(keypoints, category, confidence, box, covariance)
+    observation = given = _as_observation(keypoints, category, confidence, box, covariance)
     if observation.box is not None and camera.image_size is not None:
         (left, top, right, bottom), (width, height) = observation.box, camera.image_size
         if right <= -0.5 or bottom <= -0.5 or left >= width - 0.5 or top >= height - 0.5:
@@ -125,43 +119,10 @@ def observe(
     if "direction" in options.disabled_terms:
         observation = replace(observation, azimuth=None)  # nor are neighbours or frames of a track to hear of it
     observation = observation.of_at_least(options.keypoints.least_confidence)
-    observation = _without_strays(observation, camera, category.keypoints).undistorted(camera, category.keypoints)
-    _check_rays(observation, camera)
-    return observation
-
-
-def add_input_warnings(
-    doubts: InputWarnings,
-    name: str,
-    keypoints: KeypointsLike,
-    camera: Camera,
-    setup: SolveSetup,
-    solved: tuple[Observation, Reconstruction] | None = None,
-    given: Mapping[str, ArrayLike | None] = MappingProxyType({}),
-) -> None:
-    """Add what must be wrong with a vehicle's keypoints as they are given, or with their camera, if anything.
-
-    Of what a network detected with the vehicle's direction, whose names of keypoints are its own, only the camera and
-    where the result is are doubted.
-
-    Args:
-        doubts: What is added to.
-        name: What a warning calls the vehicle.
-        keypoints: As `observe` takes them.
-        camera: The camera.
-        setup: What holds for all vehicles of the call.
-        solved: What it was solved from, with the result; None without one.
-        given: What else `observe` takes; what it refuses is not doubtful.
-    """
-    detected = isinstance(keypoints, Observation) and keypoints.azimuth is not None
-    try:
-        every: dict[str, ArrayLike | None] = {"confidence": None, "box": None, "covariance": None, **given}
-        observation = _as_observation(keypoints, setup.prior.category, **every)
-        doubts.add(name, camera_warning_of(camera) if detected else input_warning_of(observation, camera))
-    except FgreconError:
-        return
-    if solved is not None and not (detected and result_warning_of(*solved) is InputWarning.FIT):
-        doubts.add_result(name, *solved)
+    doubt = input_warning_of(given, camera)
+    for which, why in strays(observation, camera):
+        observation = observation.without(which, category.keypoints, why)
+    return Observed(observation.undistorted(camera, category.keypoints), doubt)
 
 
 def _as_observation(
@@ -192,52 +153,6 @@ def _as_observation(
             raise InvalidInputError("confidence", "given twice", fix)
         pixels, confidence = pixels[:, :2], np.where(np.isnan(pixels).any(axis=1), 0.0, pixels[:, 2])
     return Observation.of(pixels, confidence, box, covariance)
-
-
-def _check_rays(observation: Observation, camera: Camera) -> None:
-    """Refuse intrinsics of another unit: by them most keypoints are where no pinhole sees.
-
-    Raises:
-        InvalidInputError: They are.
-    """
-    points = observation.keypoints[observation.measured]
-    if not len(points):
-        return
-    aside = float(np.median(np.abs((points - camera.matrix[:2, 2]) / camera.matrix.diagonal()[:2]).max(axis=1)))
-    if aside > _WIDEST_RAY:
-        degrees = np.degrees(np.arctan(aside))
-        fix = "Give K in pixels of this image."
-        raise InvalidInputError("intrinsics", f"keypoints {degrees:.1f} degrees beside the camera's axis", fix)
-
-
-def _without_strays(observation: Observation, camera: Camera, names: Sequence[str]) -> Observation:
-    """The observation without keypoints where its vehicle cannot be: whatever their weight, noise goes by the extent.
-
-    These are marks of other programs for what is missing, points far outside of an image of known size, and points
-    absurdly far from the others.
-    """
-    found = observation.without(_marks(observation.keypoints), names, "other programs mark so what is missing")
-    if camera.image_size is not None:
-        size = np.array(camera.image_size, dtype=np.float64)
-        with np.errstate(invalid="ignore"):
-            beyond = np.abs(found.keypoints - size / 2.0) > (0.5 + FARTHEST_OUTSIDE) * size
-            outside = np.asarray(beyond.any(axis=1))
-        if 2 * np.count_nonzero(outside) < np.count_nonzero(found.measured):  # else it is another image
-            found = found.without(
-                outside, names, f"far outside of the image of {camera.image_size[0]} x {camera.image_size[1]}"
-            )
-    points = found.keypoints[found.measured]
-    if len(points) < _JUDGED:
-        return found
-    away = np.abs(found.keypoints - np.median(points, axis=0)).max(axis=1)
-    with np.errstate(invalid="ignore"):
-        far = np.asarray(away > _STRAY * max(float(np.median(away[found.measured])), 1.0))
-    return found.without(far, names, "far from all others")
-
-
-def _marks(pixels: Array) -> NDArray[np.bool_]:
-    """(K,) which pixels (K, 2) are numbers that stand for a missing point."""
-    return np.asarray(np.isin(pixels, _MARKS).all(axis=1))
 
 
 def _by_name(

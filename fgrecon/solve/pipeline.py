@@ -20,7 +20,7 @@ from fgrecon.core.size_prior import SizesLike
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.image_facing import single_pose
-from fgrecon.solve.inputs import SolveSetup, add_input_warnings, as_extra_factors, as_initial, calibrated, observe
+from fgrecon.solve.inputs import SolveSetup, as_extra_factors, as_initial, calibrated, observe
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.result import results
 from fgrecon.solve.threads import single_threaded
@@ -79,20 +79,19 @@ def reconstruct(
     camera = calibrated("intrinsics", Camera.of(intrinsics, distortion))
     start, factors = as_initial(initial, setup.prior), as_extra_factors(extra_factors)
     given = {"confidence": confidence, "box": box, "covariance": covariance}
-    observation = observe(keypoints, camera, setup.prior.category, setup.options, **given)
-    before = InputWarnings()
-    add_input_warnings(before, "the vehicle", keypoints, camera, setup, given=given)
-    warn_of(before, stacklevel=3)
+    observed = observe(keypoints, camera, setup.prior.category, setup.options, **given)
+    if observed.warning is not None:
+        warn_of(InputWarnings.of({"the vehicle": observed.warning}), stacklevel=3)
 
     started = perf_counter()
-    problem, pose = single_pose(observation, camera, setup, start)
+    problem, pose = single_pose(observed.observation, camera, setup, start)
     posed = perf_counter()
     seen = [GraphObservation(problem)]
     adjusted = minimise_from_proposals(seen, [pose], factors)
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (perf_counter() - posed) * 1e3}
     result = with_mirrored_gain(results(seen, [pose], adjusted, milliseconds, factors)[0], problem)
-    if not before.counts:
-        after = InputWarnings()
-        add_input_warnings(after, "the vehicle", keypoints, camera, setup, (observation, result), given)
-        warn_of(after, stacklevel=3)
+    if observed.warning is None:
+        doubts = InputWarnings()
+        doubts.add_result("the vehicle", observed.observation, result)
+        warn_of(doubts, stacklevel=3)
     return result

@@ -15,7 +15,7 @@ its factors as well (`fgrecon.solve.detected`).
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
@@ -29,7 +29,7 @@ from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_list
 from fgrecon.core.input_warnings import InputWarnings, warn_of
-from fgrecon.core.observation import KeypointsLike, Observation
+from fgrecon.core.observation import KeypointsLike
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.scene_reconstruction import SceneReconstruction
@@ -45,7 +45,7 @@ from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle_part import fleet_prior, is_any_fleets
 from fgrecon.solve.image_ground import ImageGround, observed_ground
 from fgrecon.solve.independent import IndependentSolve, IndependentVehicle, solve_independently
-from fgrecon.solve.inputs import SolveSetup, add_input_warnings, as_box_errors, as_boxes
+from fgrecon.solve.inputs import SolveSetup, as_box_errors, as_boxes
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.mutual_occlusion import with_occlusion
 from fgrecon.solve.result import Marginalised, marginalise, pose_history, results, weakened
@@ -211,22 +211,12 @@ def _reconstruct(images: _Images, boxes: Sequence[KnownBox | None] | None = None
     margin = setup.options.ambiguity_margin
     status, warnings = unknown_focal(scene.camera.focal_sigma, scene.focal_lengths, margin)
     each = {number: weakened(one, warnings, status) for number, one in each.items()}
-    _warn(observations, images, scene.camera, {n: (vehicles[n].problem.observation, one) for n, one in each.items()})
+    doubts = InputWarnings.of({f"vehicle {n}": doubt for n, doubt in scene.independent.warnings.items()})
+    for number, one in each.items():
+        doubts.add_result(f"vehicle {number}", vehicles[number].problem.observation, one)
+    warn_of(doubts, stacklevel=4)
     milliseconds = {"alone": (begun - started) * 1e3, "together": (perf_counter() - begun) * 1e3}
     return [_scene_of_image(image, images, scene, each, milliseconds) for image in range(len(images.vehicles))]
-
-
-def _warn(
-    observations: Sequence[KeypointsLike],
-    images: _Images,
-    camera: Camera,
-    solved: Mapping[int, tuple[Observation, Reconstruction]],
-) -> None:
-    """Warn of what is doubtful of the vehicles, which are called by their numbers."""
-    doubts = InputWarnings()
-    for number, given in enumerate(observations):
-        add_input_warnings(doubts, f"vehicle {number}", given, camera, images.setup, solved.get(number))
-    warn_of(doubts, stacklevel=5)
 
 
 def _scene_of_image(

@@ -38,7 +38,7 @@ from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.graph.records import graph_factors, joint_steps
 from fgrecon.solve.image_facing import single_pose
-from fgrecon.solve.inputs import SolveSetup, add_input_warnings, as_cameras, as_extra_factors, observe
+from fgrecon.solve.inputs import SolveSetup, as_cameras, as_extra_factors, observe
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.result import results
@@ -90,18 +90,16 @@ def reconstruct_track(
     each = as_cameras(cameras, len(observations))
 
     started = perf_counter()
-    seen, starts, refused = _posed(observations, each, setup)
+    doubts = InputWarnings()
+    seen, starts, refused = _posed(observations, each, setup, doubts)
     posed = perf_counter()
     adjusted = minimise_from_proposals(seen, starts, factors, in_order=in_order)
     milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
     frames = results(seen, starts, adjusted, {}, factors)
     frames = [with_mirrored_gain(one, part.problem) for part, one in zip(seen, frames, strict=True)]
-    _warn(
-        observations,
-        each,
-        setup,
-        {one.image: (one.problem.observation, r) for one, r in zip(seen, frames, strict=True)},
-    )
+    for part, one in zip(seen, frames, strict=True):
+        doubts.add_result(f"image {part.image}", part.problem.observation, one)
+    warn_of(doubts, stacklevel=3)
     status, message = _status(frames, refused)
     optimum = adjusted.optimum
     keep = setup.options.keep_history and optimum.failure is None
@@ -118,24 +116,10 @@ def reconstruct_track(
     )
 
 
-def _warn(
-    observations: Sequence[Observation | None],
-    cameras: Sequence[Camera],
-    setup: SolveSetup,
-    solved: Mapping[int, tuple[Observation, Reconstruction]],
-) -> None:
-    """Warn of what is doubtful of the images, which are called by their numbers."""
-    doubts = InputWarnings()
-    for number, (given, camera) in enumerate(zip(observations, cameras, strict=True)):
-        if given is not None:
-            add_input_warnings(doubts, f"image {number}", given, camera, setup, solved.get(number))
-    warn_of(doubts, stacklevel=4)
-
-
 def _posed(
-    observations: Sequence[Observation | None], cameras: Sequence[Camera], setup: SolveSetup
+    observations: Sequence[Observation | None], cameras: Sequence[Camera], setup: SolveSetup, doubts: InputWarnings
 ) -> tuple[list[GraphObservation], list[PoseEstimate], dict[int, str]]:
-    """The images that have a pose, their proposals, and why others have none.
+    """The images that have a pose, their proposals, and why others have none; `doubts` has what is wrong with them.
 
     Raises:
         InvalidInputError: None has one, and what is given is to blame.
@@ -150,7 +134,8 @@ def _posed(
             refused[number] = "no keypoints"
             continue
         try:
-            observation = observe(given, camera, setup.prior.category, setup.options)
+            observation, doubt = observe(given, camera, setup.prior.category, setup.options)
+            doubts.add(f"image {number}", doubt)
             problem, start = single_pose(observation, camera, setup)
         except (DegenerateProblemError, InvalidInputError) as error:
             bad = error if bad is None and isinstance(error, InvalidInputError) else bad

@@ -36,7 +36,6 @@ from fgrecon.solve.ground_filter import CameraFrame, GroundFilter
 from fgrecon.solve.image_facing import couple_facings
 from fgrecon.solve.inputs import (
     SolveSetup,
-    add_input_warnings,
     as_camera_pose,
     as_ground,
     as_motion_covariance,
@@ -232,9 +231,9 @@ class Tracker:
         refused: dict[int, FgreconError] = {}
         doubts = InputWarnings()
         for name, given in observations.items():
-            add_input_warnings(doubts, f"vehicle {name}", given, camera, self._setup)
             try:
-                found[name] = observe(given, camera, self._setup.prior.category, self._setup.options)
+                found[name], doubt = observe(given, camera, self._setup.prior.category, self._setup.options)
+                doubts.add(f"vehicle {name}", doubt)
             except FgreconError as error:
                 refused[name] = error
         warn_of(doubts, stacklevel=5)

@@ -12,7 +12,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform, yaw_rotation
 from fgrecon.core.input_warnings import InputWarning, camera_warning_of, input_warning_of, summed_up
 from fgrecon.core.observation import Observation
-from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.errors import ContradictoryInputWarning, DegenerateProblemError, InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
@@ -106,9 +106,13 @@ def test_intrinsics_in_parts_of_the_image_are_refused():
 def test_results_in_the_air_name_the_camera():
     pixels, _ = car()
     with pytest.warns(ContradictoryInputWarning, match="principal point"):
-        reconstruct(pixels, replace(Camera.of((720.0, 720.0, 173.0, 610.0)), image_size=(1242, 375)))
+        result = reconstruct(pixels, replace(Camera.of((720.0, 720.0, 173.0, 610.0)), image_size=(1242, 375)))
+    assert result.status is Status.WEAK
+    assert "the principal point of its camera is outside of the image" in result.reasons
     with pytest.warns(ContradictoryInputWarning, match="high up in the air"):
-        reconstruct(pixels, (720.0, 720.0, 610.0, 700.0))
+        result = reconstruct(pixels, (720.0, 720.0, 610.0, 700.0))
+    assert result.status is Status.WEAK
+    assert "high up in the air" in result.message
 
 
 def test_python_warns_as_commands_do():

@@ -96,7 +96,7 @@ def fit_known_boxes(
     starts: list[PoseEstimate] = []
     extra: list[gtsam.NonlinearFactor] = []
     for number, view in enumerate(views):
-        observation = observe(view.observation, view.camera, prior.category, options)
+        observation, _ = observe(view.observation, view.camera, prior.category, options)
         try:
             problem = Problem.of(observation, view.camera, model, None, options)
         except DegenerateProblemError:
