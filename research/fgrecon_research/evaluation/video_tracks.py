@@ -3,8 +3,8 @@
 `ONLINE` is what `fgrecon.Tracker` says after each frame, by that one and those before; `BATCH` what it says at the end,
 by all. Both get what the single images got, and nothing else: the camera's own motion is not given, and velocities are
 relative to the camera. `ONLINE_MOVING` and `BATCH_MOVING` are the same with the motion that the images tell. `ALONE` is
-each vehicle of each image by itself; `VOTE` and `VOTE_BATCH` turn that round where the network's directions of the
-frames so far, and of all, add up to the other facing (`fgrecon_research.evaluation.video_tracks`).
+each vehicle of each image by itself; `VOTE` and `VOTE_BATCH` flip that where the network's directions of the frames so
+far, and of all, add up to the other facing; `SIGN_BELIEF` where a filter that forgets the votes of the frames says so.
 
 Velocities with the camera's motion are over the world that it makes, and so are the labels: there are none over the
 world, and the camera's error is in both. The error is thus that of the velocity relative to the camera, as without.
@@ -51,16 +51,23 @@ Array = NDArray[np.float64]
 # image's result, flipped where the sum of the network's log odds over the track says so.
 
 
+_SIGN_TIME_S = 1.0  # after which the sign's belief has forgotten all but 1/e
+_SIGN_NOISE = 1.0  # variance of a frame's vote about the sign, whose own is 1; neither is tuned
+
+
 def vote(
-    track: Sequence[tuple[Reconstruction, Array | None]],
-) -> list[tuple[Reconstruction, Reconstruction]]:
-    """The results of one vehicle, flipped where the log odds of the frames so far, and of all, say so.
+    track: Sequence[tuple[Reconstruction, Array | None]], times: Sequence[float]
+) -> list[dict[str, Reconstruction]]:
+    """The results of one vehicle, flipped where the votes of `VOTE`, `VOTE_BATCH` and `SIGN_BELIEF` say so; by name.
 
     A frame's log odds are those of the half of all directions around the one that its result is seen from. From frame
-    to frame the vehicle turns by less than a quarter, so that results beyond that face the other way.
+    to frame the vehicle turns by less than a quarter, so that results beyond that face the other way. The two votes add
+    them up. The sign's belief is a Kalman filter over their signs, which are noisy measurements of a state that goes
+    back to nothing (Ornstein-Uhlenbeck), as autoware_universe's tracker has one (pull request 13050).
 
     Args:
         track: Each frame's result and the network's directions (A,), None where there are none, in the order of time.
+        times: Of the frames, seconds.
     """
     results = [result for result, _ in track]
     poses = np.array([result.camera_T_object for result in results])
@@ -73,11 +80,25 @@ def vote(
     other_way = np.cumsum(np.cos(np.diff(yaws, prepend=yaws[0])) < 0.0) % 2 == 1  # than the first result
     way = np.where(other_way, -1.0, 1.0)
     odds = way * logit(np.array(halves))
-    so_far, of_all = way * np.cumsum(odds) < 0.0, way * odds.sum() < 0.0
+    says = {VOTE: np.cumsum(odds), VOTE_BATCH: np.full(len(odds), odds.sum()), SIGN_BELIEF: _sign_belief(odds, times)}
+    flips = {name: (way * said < 0.0).tolist() for name, said in says.items()}
     return [
-        (_flipped(result) if now else result, _flipped(result) if at_last else result)
-        for result, now, at_last in zip(results, so_far.tolist(), of_all.tolist(), strict=True)
+        {name: _flipped(result) if flip[i] else result for name, flip in flips.items()}
+        for i, result in enumerate(results)
     ]
+
+
+def _sign_belief(odds: Array, times: Sequence[float]) -> Array:
+    """(T,) expected sign after each frame of log odds (T,)."""
+    mean, variance, said = 0.0, 1.0, []
+    for one, seconds in zip(odds.tolist(), np.diff(times, prepend=times[0]).tolist(), strict=True):
+        kept = float(np.exp(-seconds / _SIGN_TIME_S))
+        mean, variance = kept * mean, 1.0 + kept**2 * (variance - 1.0)
+        if one:
+            gain = variance / (variance + _SIGN_NOISE)
+            mean, variance = mean + gain * (float(np.sign(one)) - mean), (1.0 - gain) * variance
+        said.append(mean)
+    return np.array(said)
 
 
 def _flipped(result: Reconstruction) -> Reconstruction:
@@ -98,6 +119,8 @@ ALONE = "alone"
 """Each vehicle of each image by itself; without what is known of others the whole system does the same."""
 VOTE, VOTE_BATCH = "vote", "vote_batch"
 """The same, flipped where the network's directions of the frames so far, and of all, say so by their sum."""
+SIGN_BELIEF = "sign_belief"
+"""The same, flipped where the votes of the frames so far say so to a filter that forgets."""
 ONLINE = "online"
 """Each frame by itself and those before."""
 BATCH = "batch"
@@ -254,7 +277,7 @@ def _estimates(
 def _votes(
     seen: Sequence[ScoredFrame], alone: Mapping[_Key, Reconstruction | str], ids: Mapping[_Key, int]
 ) -> dict[str, dict[_Key, Reconstruction | str]]:
-    """The results of `VOTE` and `VOTE_BATCH`, vehicle by vehicle; one that was not followed votes for itself."""
+    """The results of `vote`, vehicle by vehicle; one that was not followed votes for itself."""
     tracks: dict[int | _Key, dict[_Key, tuple[Reconstruction, Array | None]]] = {}
     for frame in seen:
         for position, one in enumerate(frame.sightings):
@@ -262,10 +285,12 @@ def _votes(
             result, directions = alone[key], None if one.observation is None else one.observation.azimuth
             if not isinstance(result, str):
                 tracks.setdefault(ids.get(key, key), {})[key] = result, directions
-    found = {VOTE: dict(alone), VOTE_BATCH: dict(alone)}
+    found = {name: dict(alone) for name in (VOTE, VOTE_BATCH, SIGN_BELIEF)}
     for track in tracks.values():
-        for key, voted in zip(track, vote(list(track.values())), strict=True):
-            found[VOTE][key], found[VOTE_BATCH][key] = voted
+        times = [number / IMAGES_PER_SECOND for number, _ in track]
+        for key, voted in zip(track, vote(list(track.values()), times), strict=True):
+            for name, result in voted.items():
+                found[name][key] = result
     return found
 
 

@@ -62,11 +62,11 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     assert lines[2].startswith("| boxes | method | AOP 5° % | AOP 15° % | AOP 30° % | flipped % |")
     rows = [line for line in lines if line.startswith("| ")]
     assert {line.count("|") for line in rows} == {lines[2].count("|")}
-    names = [line.split(" | ")[1] for line in lines[4:13]]
-    assert names[:5] == ["reconstruct_image", "epnp", "alone", "vote", "vote_batch"]
-    assert names[5:] == ["online", "batch", "online_moving", "batch_moving"]
+    names = [line.split(" | ")[1] for line in lines[4:14]]
+    assert names[:6] == ["reconstruct_image", "epnp", "alone", "vote", "vote_batch", "sign_belief"]
+    assert names[6:] == ["online", "batch", "online_moving", "batch_moving"]
     groups = ("cars_easy, 2", "cars_moderate, 2", "cars, 2", "vans, 2", "all, 4")
-    assert [line.split(" | ")[0] for line in lines[4:49]] == [f"| {group}" for group in groups for _ in names]
+    assert [line.split(" | ")[0] for line in lines[4:54]] == [f"| {group}" for group in groups for _ in names]
     assert [line.split(" | ")[0] for line in lines[54:72]] == ["| one, 2"] * 9 + ["| two, 2"] * 9
     assert "By regime:" in done.stdout
     made = json.loads(out.read_text())

@@ -21,6 +21,7 @@ from fgrecon_research.evaluation.video_tracks import (
     BATCH_MOVING,
     ONLINE,
     ONLINE_MOVING,
+    SIGN_BELIEF,
     VOTE,
     VOTE_BATCH,
     follow_boxes,
@@ -68,7 +69,8 @@ def test_several_images_and_how_much_errors_change(folder, setup, scene):  # noq
     assert online.jitter_degrees == pytest.approx(np.abs(np.diff(offs, axis=0)[:, 0]).mean())
     assert alone.mean_absolute_size_error == pytest.approx(np.abs(first[0].outcomes[SYSTEM].size).mean())
     made = document(boxes, summarise_groups(boxes), {}, [])
-    assert list(made["methods"]) == [SYSTEM, ALONE, VOTE, VOTE_BATCH, ONLINE, BATCH, ONLINE_MOVING, BATCH_MOVING]
+    tracked = [ALONE, VOTE, VOTE_BATCH, SIGN_BELIEF, ONLINE, BATCH, ONLINE_MOVING, BATCH_MOVING]
+    assert list(made["methods"]) == [SYSTEM, *tracked]
     alone = [box.outcomes[ALONE] for box in first]
     assert alone[0].metres == alone[1].metres > 0.0  # the images are one
     told = made["methods"][ONLINE]["regime"]["all"]["consistency"]
@@ -169,7 +171,24 @@ def test_the_vote_turns_single_images_round(folder, setup, scene):  # noqa: F811
         for method in (VOTE, VOTE_BATCH):
             assert [box.outcomes[method].degrees > 90.0 for box in boxes] == [True] * 3
             assert boxes[1].outcomes[method].degrees == pytest.approx(180.0, abs=1.0)
+        flips = [box.outcomes[SIGN_BELIEF].degrees > 90.0 for box in boxes]
+        assert flips == [True, False, True]  # the last of two votes counts a little more, however sure they are
         assert (ALONE in boxes[1].outcomes) == together
         if together:
             assert boxes[1].outcomes[ALONE].degrees < 90.0
             assert boxes[1].outcomes[ALONE].metres == boxes[1].outcomes[VOTE].metres
+
+
+def test_the_belief_of_a_sign_forgets():
+    """Oracle: the Kalman filter's closed form for one vote, and the stationary one for votes without end."""
+    (once,) = video_tracks._sign_belief(np.array([3.0]), [0.0])
+    assert once == pytest.approx(0.5)
+    first, later = video_tracks._sign_belief(np.array([3.0, 0.0]), [0.0, 2.0])
+    assert later == pytest.approx(first * np.exp(-2.0))
+    always = video_tracks._sign_belief(np.full(400, 0.2), [0.1 * i for i in range(400)])
+    kept = np.exp(-0.1)
+    prior = np.roots([1.0, 1.0 - kept**2 - (1.0 - kept**2), -(1.0 - kept**2)]).max()  # of the Riccati equation
+    gain = prior / (prior + 1.0)
+    assert always[-1] == pytest.approx(gain / (1.0 - (1.0 - gain) * kept), rel=1e-6)
+    turned = video_tracks._sign_belief(np.array([5.0] * 30 + [-0.1] * 30), [0.1 * i for i in range(60)])
+    assert turned[29] > 0.0 > turned[-1]  # the vote of the sums would never turn
