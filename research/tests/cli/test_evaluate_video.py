@@ -67,7 +67,7 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     assert names[6:] == ["online", "batch", "online_moving", "batch_moving"]
     groups = ("cars_easy, 2", "cars_moderate, 2", "cars, 2", "vans, 2", "all, 4")
     assert [line.split(" | ")[0] for line in lines[4:54]] == [f"| {group}" for group in groups for _ in names]
-    assert [line.split(" | ")[0] for line in lines[54:74]] == ["| one, 2"] * 10 + ["| two, 2"] * 10
+    assert [line.split(" | ")[0] for line in lines[59:79]] == ["| one, 2"] * 10 + ["| two, 2"] * 10
     assert "By regime:" in done.stdout
     made = json.loads(out.read_text())
     assert made["networks"] == [
@@ -79,7 +79,7 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     counts = {name: group["boxes"] for name, group in made["methods"]["epnp"]["regime"].items()}
     assert counts == {"cars_easy": 2, "cars_moderate": 2, "cars": 2, "vans": 2, "all": 4}
     rows = list(csv.DictReader(table.read_text().splitlines()))
-    assert len(rows) == len(made["boxes"]) == 36
+    assert len(rows) == len(made["boxes"]) == 40
     assert [float(row["degrees"]) for row in rows] == [row["degrees"] for row in made["boxes"]]
     assert sheet.stat().st_size > 1000
 
