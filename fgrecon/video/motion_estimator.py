@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.io.frames import SourceFrame
+from fgrecon.solve.threads import single_threaded
 from fgrecon.video.egomotion import CameraMotion, camera_motion
 from fgrecon.video.records import FrameRecord, Sighting
 
@@ -52,6 +53,7 @@ class MotionEstimator:
         if frame.image is not None:
             self._before, self._motion = _seen(frame.image, record.sightings), record.motion
 
+    @single_threaded  # its numbers are the same whatever else runs
     def __call__(self, frame: SourceFrame, sightings: Sequence[Sighting]) -> CameraMotion | None:
         """The motion since the last frame that could be read.
 

@@ -4,15 +4,18 @@
        |                                                           |
        +------- the camera's motion ---- motions, stored ----------+
 
-What is stored is what frames show, so that a run that was killed goes on at the frame where it was: the stored records
-are followed again, which takes milliseconds a frame, and gives the numbers of a run that was not killed. Motions are
-stored for one camera and one ground: with another they are estimated again, and the networks need not look again.
+Reading, networks, motion and following are stages side by side (`fgrecon.video.stages`); the results are those of one
+after the other. What is stored is what frames show, so that a run that was killed goes on at the frame where it was:
+the stored records are followed again, which takes milliseconds a frame, and gives the numbers of a run that was not
+killed. Motions are stored for one camera and one ground: with another they are estimated again, and the networks need
+not look again.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from itertools import pairwise, zip_longest
 from pathlib import Path
@@ -38,8 +41,12 @@ from fgrecon.video.records import (
     record_schema,
     to_table,
 )
+from fgrecon.video.stages import made_ahead, short_turns
 
 __all__ = ["MOTIONS", "RECORDS", "VideoRun", "run_video"]
+
+AHEAD = 2
+"""Frames that a stage is ahead of the next one: enough for frames with many and with few vehicles in turn."""
 
 MOTIONS = "motions"
 """Folder of the camera's motions within that of the run, beside the stored records' (`RECORDS`)."""
@@ -113,6 +120,7 @@ def run_video(
     settings: Mapping[str, Any],
     motion: MotionEstimator | None = None,
     online: bool = False,
+    ahead: int = AHEAD,
     go_on: Callable[[VideoRun, SourceFrame | None], bool] = lambda run, frame: True,  # noqa: ARG005 - to the end
 ) -> VideoRun:
     """Look at the frames of a source that are not stored yet, and follow the vehicles through all of them.
@@ -125,6 +133,8 @@ def run_video(
         settings: What the records depend on, as plain values; a folder is for one such.
         motion: Estimates the camera's motion, a new one; None where it is not estimated.
         online: Whether estimates stay as they were when their frame came, until `VideoRun.smooth`.
+        ahead: How many frames each stage may be ahead of the next, in a thread of its own; 0: one frame and stage
+            after the other. What was looked at ahead of a run's stop is looked at again when it goes on.
         go_on: Called after each frame with the run and the frame's pixels, None for what runs before had looked at;
             returns whether to go on.
 
@@ -145,8 +155,8 @@ def run_video(
         check_coverage(planned_frames(source) or (), *given)
     begin(out / RECORDS, settings, FORMAT)
     run = VideoRun(source.count)
-    with claimed(out / RECORDS):
-        looked = _Records(source, out, look, motion, settings)
+    with claimed(out / RECORDS), short_turns(ahead):
+        looked = _Records(source, out, look, motion, settings, ahead)
         run.before = len(looked.stored)
         try:
             for record, frame in looked.records():
@@ -155,7 +165,7 @@ def run_video(
                     run.stopped = len(run.frames) < run.before or looked.more_after(record.number)
                     break
         finally:
-            looked.flush()
+            looked.close()
     if not run.stopped:
         frames = [(frame.number, frame.time) for frame in run.frames]
         check_coverage(frames, *given)
@@ -165,6 +175,23 @@ def run_video(
     if not online:
         run.smooth(follower)
     return run
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """A frame on its way through the stages.
+
+    Attributes:
+        frame: The frame.
+        record: What it shows; None of a frame that is read for the motion of the next one alone.
+        seen: Whether the record is new.
+        moved: Whether its motion is.
+    """
+
+    frame: SourceFrame
+    record: FrameRecord | None
+    seen: bool = False
+    moved: bool = False
 
 
 class _Records:
@@ -181,9 +208,12 @@ class _Records:
         look: FrameDetector,
         motion: MotionEstimator | None,
         settings: Mapping[str, Any],
+        ahead: int,
     ) -> None:
-        self._source, self._look, self._motion = source, look, motion
+        self._source, self._look, self._motion, self._most = source, look, motion, ahead
         self._reading: Iterator[SourceFrame] | None = None
+        self._stages: Generator[_Looked] | None = None
+        self._last_read = -1
         self._records = Parts(out / RECORDS, record_schema())
         self.stored = [from_row(row) for row in self._records.rows_in_order()]
         if isinstance(source, ImageFrames):  # only these have names; of a file the settings can tell whether it changed
@@ -193,14 +223,22 @@ class _Records:
             self._motions = Parts(out / MOTIONS, motion_schema())
             self._moved = {row["row_id"]: motion_from_row(row) for row in self._motions.rows_in_order()}
 
-    def flush(self) -> None:
-        """Write what has been added."""
-        self._records.flush()
-        if self._motion is not None:
-            self._motions.flush()
+    def close(self) -> None:
+        """End the stages, and write what has been added."""
+        try:
+            if self._stages is not None:
+                self._stages.close()
+        finally:
+            self._records.flush()
+            if self._motion is not None:
+                self._motions.flush()
 
     def more_after(self, number: int) -> bool:
         """Whether a frame comes after this one, the last of `records`; it is read for it, since heads of files err."""
+        if self._last_read > number:
+            return True
+        if self._most and self._stages is not None:
+            return next(self._stages, None) is not None
         return next(self._reading or self._source.read(number), None) is not None
 
     def records(self) -> Iterator[tuple[FrameRecord, SourceFrame | None]]:
@@ -212,28 +250,57 @@ class _Records:
         yield from ((record, None) for record in whole)
         last = whole[-1].number if whole else None
         before = next((record for record in reversed(whole) if record.problem is None), None)
-        ahead = {record.number: record for record in self.stored[len(whole) :]}
         # The motion since the last image needs that image.
         self._reading = self._source.read(last if moving is None or before is None else before.number - 1)
-        for frame in self._reading:
-            if moving is not None and before is not None and frame.number == before.number:
-                moving.remember(frame, before)
-            if last is not None and frame.number <= last:
+        frames = made_ahead(self._noted(self._reading), self._most, "frames")
+        looked = made_ahead(self._looked(frames, last, len(whole)), self._most, "networks")
+        moved = looked if moving is None else self._moved_to(looked, moving, before)
+        self._stages = made_ahead(moved, 0 if moving is None else self._most, "motion")
+        for one in self._stages:
+            if one.record is None:
                 continue
-            record = ahead.get(frame.number)
-            if record is None:
-                record = self._look(frame)
-                self._records.add(to_table(record))
-            yield (record if moving is None else self._with_motion(moving, record, frame)), frame
+            if one.seen:
+                self._records.add(to_table(one.record))
+            if one.moved:
+                self._motions.add(motion_to_table(one.record))
+            yield one.record, one.frame
 
-    def _with_motion(self, moving: MotionEstimator, record: FrameRecord, frame: SourceFrame) -> FrameRecord:
+    def _noted(self, frames: Iterator[SourceFrame]) -> Iterator[SourceFrame]:
+        for frame in frames:
+            self._last_read = frame.number
+            yield frame
+
+    def _looked(self, frames: Generator[SourceFrame], last: int | None, whole: int) -> Iterator[_Looked]:
+        """Frames with what they show; those up to the last one that is known already without."""
+        known = {record.number: record for record in self.stored[whole:]}
+        with closing(frames):
+            for frame in frames:
+                if last is not None and frame.number <= last:
+                    yield _Looked(frame, None)
+                elif frame.number in known:
+                    yield _Looked(frame, known[frame.number])
+                else:
+                    yield _Looked(frame, self._look(frame), seen=True)
+
+    def _moved_to(
+        self, looked: Generator[_Looked], moving: MotionEstimator, before: FrameRecord | None
+    ) -> Iterator[_Looked]:
+        """The same with the camera's motion since the frame before."""
+        with closing(looked):
+            for one in looked:
+                yield self._with_motion(one, moving, before)
+
+    def _with_motion(self, one: _Looked, moving: MotionEstimator, before: FrameRecord | None) -> _Looked:
+        frame, record = one.frame, one.record
+        if record is None:
+            if before is not None and frame.number == before.number:
+                moving.remember(frame, before)
+            return one
         if (key := str(record.number)) in self._moved:  # whose record was damaged, and is made anew
             record = replace(record, motion=self._moved[key])
             moving.remember(frame, record)
-            return record
-        record = replace(record, motion=moving(frame, record.sightings))
-        self._motions.add(motion_to_table(record))
-        return record
+            return replace(one, record=record)
+        return replace(one, record=replace(record, motion=moving(frame, record.sightings)), moved=True)
 
 
 def _check_still_there(stored: Sequence[FrameRecord], source: ImageFrames, out: Path) -> None:

@@ -1,5 +1,7 @@
 """Runs over videos: stopped and gone on with, they give what one that was not stopped gives."""
 
+import sys
+import threading
 from dataclasses import fields, replace
 
 import numpy as np
@@ -81,13 +83,16 @@ def test_a_run_has_every_frame(drive, tmp_path):
     assert (found.stopped, found.smoothed, found.before) == (False, True, 0)
 
 
+@pytest.mark.parametrize("ahead", [0, 1, 2])
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("most", [1, 3, 6])
-def test_a_stopped_run_goes_on(drive, tmp_path, most, moving):
-    whole, _ = run(drive, tmp_path / "whole", moving=moving)
+def test_a_stopped_run_goes_on(drive, tmp_path, most, moving, ahead):
+    whole, _ = run(drive, tmp_path / "whole", moving=moving, ahead=0)
     assert whole.way == (pytest.approx(0.4 * 8, abs=0.1) if moving else None)
-    part, look = run(drive, tmp_path / "out", most=most, moving=moving)
-    assert (part.stopped, look.looked, len(part.frames)) == (True, most, most)
+    part, look = run(drive, tmp_path / "out", most=most, moving=moving, ahead=ahead)
+    assert (part.stopped, len(part.frames)) == (True, most)
+    assert most <= look.looked <= most + 2 * (ahead + 1) * bool(ahead)
+    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("fgrecon")]
     rest, look = run(drive, tmp_path / "out", moving=moving)
     assert (rest.stopped, rest.before, look.looked) == (False, most, 8 - most)
     assert rows_of(rest.frames, flat=False) == rows_of(whole.frames, flat=False)
@@ -109,6 +114,38 @@ def test_damaged_records_are_made_again(drive, tmp_path, monkeypatch, damaged, f
     assert (again.before, look.looked) == (before, 8 - before)
     assert rows_of(again.frames, flat=False) == rows_of(whole.frames, flat=False)
     assert run(drive, tmp_path / "out", moving=True)[0].before == 8
+
+
+@pytest.mark.parametrize("stage", ["networks", "motion", "follow"])
+def test_an_error_of_a_stage_is_that_of_the_run(drive, tmp_path, stage):
+    """It comes at its frame, what was looked at before is stored, and no thread is left."""
+
+    class Failing(Counting):
+        def __call__(self, frame):
+            if stage == "networks" and frame.number == 8:
+                raise ZeroDivisionError(stage)
+            return super().__call__(frame)
+
+    class Lost(MotionEstimator):
+        def __call__(self, frame, sightings):
+            if stage == "motion" and frame.number == 8:
+                raise ZeroDivisionError(stage)
+            return super().__call__(frame, sightings)
+
+    def go_on(run, _):
+        if stage == "follow" and len(run.frames) == 4:
+            raise ZeroDivisionError(stage)
+        return True
+
+    look = Failing(CAR14, given=read_given(drive[1], CAR14).vehicles)
+    follower = Follower(SingleImageTracker(prior="car14"), GatedAssociation(), KITTI_CAMERA, ground=GROUND, moving=True)
+    source, motion = open_frames(drive[0], rate=10), Lost(KITTI_CAMERA, GROUND)
+    turn = sys.getswitchinterval()
+    with pytest.raises(ZeroDivisionError, match=stage):
+        run_video(source, look, follower, tmp_path, settings={"of": "a test"}, motion=motion, go_on=go_on)
+    assert sys.getswitchinterval() == turn
+    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("fgrecon")]
+    assert run(drive, tmp_path, moving=True)[0].before == 4
 
 
 def test_another_ground_needs_no_network(drive, tmp_path):
