@@ -149,6 +149,40 @@ def cuboid_boxes(tables: NuScenesTables, image: str, kind: str) -> tuple[list[tu
     return found, near
 
 
+def camera_T_lidar(tables: NuScenesTables, image: str, sweep: str) -> Array:
+    """(4, 4) from a LiDAR's frame at its sweep to a camera's at its image; the vehicle moves between the two.
+
+    Args:
+        tables: The tables.
+        image: Name of the image.
+        sweep: Name of the sweep's file.
+
+    Raises:
+        InvalidInputError: There is no such image or sweep, or a record is malformed.
+    """
+    places = []
+    for name in (image, sweep):
+        record = tables.image(name)
+        sensor = tables.named(record, "calibrated_sensor_token", "calibrated_sensor")
+        places.append(pose_of(tables.named(record, "ego_pose_token", "ego_pose")) @ pose_of(sensor))
+    world_T_camera, world_T_lidar = places
+    return np.asarray(np.linalg.solve(world_T_camera, world_T_lidar))
+
+
+def sweep_of(tables: NuScenesTables, image: str) -> str | None:
+    """Name of the file of the LiDAR's sweep that belongs to an image; None where there is none.
+
+    Raises:
+        InvalidInputError: There is no such image, or a record is malformed.
+    """
+    sample = tables.image(image).get("sample_token", str)
+    for record in tables.table("sample_data").values():
+        name = record.get("filename", str)
+        if name.endswith(".pcd.bin") and record.get("sample_token", str) == sample and record.data.get("is_key_frame"):
+            return Path(name).name
+    return None
+
+
 def _category(tables: NuScenesTables, label: Fields) -> str:
     instance = tables.named(label, "instance_token", "instance")
     return str(tables.named(instance, "category_token", "category").get("name", str))
