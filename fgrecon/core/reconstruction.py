@@ -164,6 +164,10 @@ class Diagnostics:
         left_out: Sentences that say what of the observation was not used, and why.
         mirrored_gain: Nats by which the keypoints fit better with left and right exchanged; NaN where they fit well, or
             come from a network that knows the vehicle's direction, and nobody tried.
+        points: (N, 3) points of other sensors that the graph had, camera frame, metres; none where nobody gave any.
+        point_weights: (N,) final weight of each in [0, 1]: how surely it is the vehicle's.
+        evidence: By kind of what was given beside the picture, by how many times it makes the position's standard
+            deviation smaller.
     """
 
     weights: NDArray[np.float64]
@@ -178,6 +182,9 @@ class Diagnostics:
     graph_gain: float = float("nan")
     left_out: tuple[str, ...] = ()
     mirrored_gain: float = float("nan")
+    points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    point_weights: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    evidence: Mapping[str, float] = field(default_factory=dict)
 
     __repr__ = brief_repr
 
@@ -316,7 +323,8 @@ class Reconstruction:
                 `fgrecon.core.rounding`. Else everything, and numbers keep every bit.
             history: Keep history and graph in the compact form too, with every bit.
         """
-        kept = {name: plain(self._field(name)) for name, f in FIELDS.items() if not (compact and f.large)}
+        names = [name for name, f in FIELDS.items() if not (compact and f.large)]
+        kept = {name: plain(self._field(name)) for name in names if not FIELDS[name].spare or len(self._field(name))}
         if not compact:
             return {"format": FORMAT, **kept}
         steps = {name: plain(self._field(name)) for name in ("history", "graph") if history}

@@ -59,10 +59,11 @@ class ResultField:
     Attributes:
         group: Attribute of `Reconstruction` that has it; empty where that is the result itself.
         read: From its plain value.
-        shape: Of an array: K keypoints, N coefficients, None is any number.
+        shape: Of an array: K keypoints, N coefficients, P points, None is any number.
         nullable: Whether it can be null.
         later: Whether earlier files have it not.
         large: Whether the compact form leaves it out.
+        spare: Whether it is left out where it is empty.
     """
 
     group: str
@@ -71,6 +72,7 @@ class ResultField:
     nullable: bool = False
     later: bool = False
     large: bool = False
+    spare: bool = False
 
 
 def _items(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -114,6 +116,9 @@ FIELDS: Mapping[str, ResultField] = {
     "box_excess": ResultField("diagnostics", float, later=True),
     "left_out": ResultField("diagnostics", tuple, later=True),
     "mirrored_gain": ResultField("diagnostics", float, later=True),
+    "points": ResultField("diagnostics", shape=("P", 3), later=True, large=True, spare=True),
+    "point_weights": ResultField("diagnostics", shape=("P",), later=True, large=True, spare=True),
+    "evidence": ResultField("diagnostics", numbers, later=True, spare=True),
 }
 """By name, in the order of files."""
 
@@ -163,7 +168,7 @@ def check_shapes(values: Mapping[str, Any]) -> None:
     names = values["keypoint_names"]
     if not all(isinstance(name, str) for name in names):
         raise InvalidInputError("keypoint_names", names, f"{_FIX}: names are texts.")
-    lengths = {"K": len(names), "N": np.size(values["coefficients"])}
+    lengths = {"K": len(names), "N": np.size(values["coefficients"]), "P": len(values.get("points", ()))}
     _check("", values, lengths)
     for name in ("pose_covariance", "size_covariance"):
         if values.get(name) is not None and not np.isfinite(values[name]).all():

@@ -3,7 +3,7 @@
 | entity | what | when |
 |---|---|---|
 | `scene` | the 3D world: the camera's frame, x right, y down, z forward, metres | once |
-| `scene/camera` | the pinhole camera; its image plane holds the next seven | once |
+| `scene/camera` | the pinhole camera; its image plane holds the next eight | once |
 | `.../image` | the photograph | each frame |
 | `.../box` | the 2D box of the observation | each frame |
 | `.../keypoints` | detected keypoints, colour and size by weight | every step |
@@ -11,6 +11,7 @@
 | `.../previous` | the same, faint, as it was after the weight update before | every step |
 | `.../residuals` | line from each detected keypoint to its projection | every step |
 | `.../truth` | the true box in the image | each frame |
+| `.../points` | points of other sensors in the image, colour by weight | at the result |
 | `scene/vehicle` | `camera_T_object`; what is below it is in the object frame | every step |
 | `.../keypoints` | 3D keypoints, colour by weight | every step |
 | `.../wireframe/{left,right,across}` | 3D wireframe | every step |
@@ -18,6 +19,7 @@
 | `.../surface`, `.../box`, `.../uncertainty` | surface, box, one-sigma ellipsoids of the keypoints | at the result |
 | `.../model` | the closest car model, where there were any to compare with | at the result |
 | `scene/previous` | wireframe in the camera frame, faint, after the weight update before | every step |
+| `scene/points` | points of other sensors, colour by weight | at the result |
 | `scene/truth`, `.../box`, `.../keypoints` | true pose, box and keypoints | each frame |
 | `scene/ground` | grid on the ground | once |
 | `graph` | the factor graph: variables and factors; keypoints' factors coloured by weight | every step |
@@ -58,6 +60,7 @@ frame only the end of its solve is known:
 | `image` | the photograph; below it `boxes` with ids and words, and `wireframes` | each frame |
 | `world` | where the camera was first, or the world that its poses are in | once |
 | `world/camera`, `world/here` | the pinhole camera; its frame alone, with `rings` every 10 m | each frame |
+| `world/points` | points of other sensors, colour by weight | each frame |
 | `world/cars`, `world/headings`, `world/paths` | boxes and wireframes; arrows with ids; past places | each frame |
 | `plots/<value>/<id>` | a number; of yaw, length, width and height with its band of 95 % | each frame |
 | `graph` | factors of the window of one vehicle | each frame |
@@ -94,6 +97,8 @@ MEDIAL = "medial"
 SURFACE = "scene/vehicle/surface"
 MODEL = "scene/vehicle/model"
 VEHICLE_BOX = "scene/vehicle/box"
+POINTS_2D = "scene/camera/points"
+POINTS_3D = "scene/points"
 UNCERTAINTY = "scene/vehicle/uncertainty"
 PREVIOUS_3D = "scene/previous"
 TRUTH_3D = "scene/truth"
@@ -129,6 +134,7 @@ WORLD = "world"
 WORLD_CAMERA = "world/camera"
 HERE = "world/here"
 RINGS = "world/here/rings"
+WORLD_POINTS = "world/points"
 PLOTS = "plots"
 SIZES = ("length", "width", "height")
 """Plots of a vehicle's size."""

@@ -15,7 +15,7 @@ from fgrecon.core.geometry import position_covariance, transform
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.viz import style
 from fgrecon.viz.geometry import NOSE, ellipse, level_axes, outline_corners
-from fgrecon.viz.marks import unit
+from fgrecon.viz.marks import draw_points, unit
 from fgrecon.viz.subjects import DrawnScene, DrawnVehicle
 from fgrecon.viz.tags import Plates
 
@@ -135,11 +135,14 @@ def _covariance(
 def _draw_beside(
     axes: Any, vehicle: DrawnVehicle, start: NDArray[np.float64] | None, flat: NDArray[np.float64]
 ) -> None:
-    """Truth, path, and first estimate of a vehicle."""
+    """Truth, points of other sensors, path, and first estimate of a vehicle."""
     colour = style.categorical(vehicle.identity)
     if vehicle.truth is not None and vehicle.truth.box_size is not None:
         corners = transform(vehicle.truth.camera_T_object, outline_corners(vehicle.truth.box_size))[:4] @ flat.T
         _path(axes, corners, style.TRUTH, 1.0, TRUE_DASHES, closed=True, zorder=4)
+    if vehicle.result is not None and len(vehicle.result.diagnostics.points):
+        known = vehicle.result.diagnostics
+        draw_points(axes, known.points @ flat.T, known.point_weights, colour, zorder=5.5)
     if vehicle.trail is not None and len(vehicle.trail) > 1:
         _path(axes, vehicle.trail @ flat.T, colour, 0.6, "-", zorder=3)
         axes.plot(*(vehicle.trail @ flat.T).T, ".", color=unit(colour), markersize=1.5)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import TRUSTED
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, Box, box_path, image_points, outline_corners, resolution
 from fgrecon.viz.style import Side
@@ -71,6 +72,24 @@ def draw_keypoints(
     colours = unit(style.weight_colours(weights[measured]))
     sizes = (style.weight_radii(weights[measured], 1.6, 3.2) * 2) ** 2
     axes.scatter(*detected.T, s=sizes, c=colours, edgecolors=[unit(style.PAPER)], linewidths=0.6, zorder=6)
+
+
+def draw_points(
+    axes: Any, places: NDArray[np.float64], weights: NDArray[np.float64], colour: style.Colour, zorder: float
+) -> None:
+    """Points (N, 2) of other sensors: dots of a colour where they are the vehicle's, and faint crosses where not.
+
+    Args:
+        axes: The panel.
+        places: In its coordinates; those with a NaN are left out.
+        weights: (N,) how surely each is the vehicle's.
+        colour: Of the vehicle.
+        zorder: What they are above.
+    """
+    used = weights >= TRUSTED
+    look: dict[str, Any] = {"linewidths": 0.25, "zorder": zorder}
+    axes.scatter(*places[~used].T, s=2.0, marker="x", color=[unit(style.FADED)], alpha=0.8, **look)
+    axes.scatter(*places[used].T, s=1.6, color=[unit(colour)], edgecolors=[unit(style.PAPER)], **look)
 
 
 def draw_box(axes: Any, box: NDArray[np.float64]) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
+from fgrecon.core.reconstruction import TRUSTED
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, as_image, box_path, image_points, outline_corners
 from fgrecon.viz.subjects import DrawnVehicle
@@ -132,6 +133,9 @@ def _from_above(height: int, width: int, vehicles: Sequence[DrawnVehicle]) -> ND
             _lines(panel, at(vehicle.trail[-_LONG:])[None], colour, 1)
         if vehicle.result is None or vehicle.pose is None:
             continue
+        known = vehicle.result.diagnostics
+        for used, shade in ((known.point_weights < TRUSTED, grey), (known.point_weights >= TRUSTED, style.HAIRLINE)):
+            _dots(panel, at(known.points[used]), shade)
         half = 0.5 * vehicle.result.box_size[0]
         outline = at(transform(vehicle.pose, outline_corners(vehicle.result.box_size)[:4]))
         _lines(panel, outline[[0, 1, 2, 3, 0]][None], colour, 2)
@@ -148,6 +152,13 @@ def _lines(canvas: NDArray[np.uint8], lines: NDArray[np.float64], colour: style.
     sharp = 3  # bits behind the point
     paths: Any = [np.rint(line * 2**sharp).astype(np.int32)[:, None] for line in kept]
     cv2.polylines(canvas, paths, isClosed=False, color=colour, thickness=width, lineType=cv2.LINE_AA, shift=sharp)
+
+
+def _dots(canvas: NDArray[np.uint8], points: NDArray[np.float64], colour: style.Colour) -> None:
+    """Put pixels (N, 2) onto the canvas; those outside are left out."""
+    column, row = np.rint(points).astype(np.int64).T
+    inside = (column >= 0) & (column < canvas.shape[1]) & (row >= 0) & (row < canvas.shape[0])
+    canvas[row[inside], column[inside]] = colour
 
 
 def _plate_size(text: str) -> tuple[int, int]:

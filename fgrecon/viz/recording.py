@@ -244,10 +244,28 @@ def log_result(play: Playback) -> None:
     if result.shape.surface_vertices is not None and result.shape.surface_faces is not None:
         colour = (*style.SURFACE, _SURFACE_ALPHA)
         _log_mesh(play, entities.SURFACE, result.shape.surface_vertices, result.shape.surface_faces, colour)
+    if len(result.diagnostics.points):
+        _log_points(play)
     if result.uncertainty.keypoint_covariance is not None:
         log_ellipsoids(
             play, entities.UNCERTAINTY, result.wireframe, result.uncertainty.keypoint_covariance, line_radii=-0.5
         )
+
+
+def _log_points(play: Playback) -> None:
+    """The points of other sensors in space and in the image, colour by weight."""
+    import rerun as rr
+
+    known, camera = play.vehicle.reconstruction.diagnostics, play.vehicle.camera
+    colours, count = style.weight_colours(known.point_weights), len(known.points)
+    play.once(entities.POINTS_3D, rr.Points3D, radii=-2.0)
+    points = rr.Points3D.columns(positions=known.points, colors=colours)
+    play.at_result(entities.POINTS_3D, points.partition([count]))
+    pixels = image_points(camera, np.eye(4), known.points)
+    seen = np.isfinite(pixels).all(axis=1)
+    play.once(entities.POINTS_2D, rr.Points2D, radii=-1.5, draw_order=15.0)
+    flat = rr.Points2D.columns(positions=pixels[seen], colors=colours[seen])
+    play.at_result(entities.POINTS_2D, flat.partition([int(seen.sum())]))
 
 
 def log_ellipsoids(

@@ -18,8 +18,17 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Status
 from fgrecon.viz import style
 from fgrecon.viz.from_above import DASHES, FONT, TRUE_DASHES, draw_scene_from_above, ellipse_scale, extent_from_above
-from fgrecon.viz.geometry import BOX_EDGES, as_image, box_path, ground_lines, level_axes, outline_corners, resolution
-from fgrecon.viz.marks import draw_crop, draw_paths
+from fgrecon.viz.geometry import (
+    BOX_EDGES,
+    as_image,
+    box_path,
+    ground_lines,
+    image_points,
+    level_axes,
+    outline_corners,
+    resolution,
+)
+from fgrecon.viz.marks import draw_crop, draw_paths, draw_points
 from fgrecon.viz.occlusion import DepthImage, depth_image, pieces_of, render_models, runs_of
 from fgrecon.viz.picture import new_figure, place_axes
 from fgrecon.viz.scene_table import draw_key, draw_table, scene_page
@@ -144,6 +153,9 @@ def _draw_photograph(axes: Any, image: NDArray[np.uint8] | None, scene: DrawnSce
                 behind = style.FADED if image is None else style.PAPER
                 draw_paths(axes, hidden, behind, 0.35, "-", zorder=2, casing=False, alpha=_HIDDEN)
                 draw_paths(axes, visible, colour, 0.9, "-", zorder=4)
+            if len(result.diagnostics.points):
+                pixels = image_points(scene.camera, np.eye(4), result.diagnostics.points)
+                draw_points(axes, pixels, result.diagnostics.point_weights, colour, zorder=3)
         elif vehicle.identity in scene.starts:
             first = result.diagnostics.history[0]
             lines = pieces_of(transform(first.camera_T_object, first.keypoints)[result.shape.edges])

@@ -13,7 +13,7 @@ from fgrecon.core.reconstruction import Status
 from fgrecon.viz import style
 from fgrecon.viz.describe import LEVEL, bounds_of, describe_bounds
 from fgrecon.viz.from_above import DASHES, FONT, START_DASHES, TRUE_DASHES
-from fgrecon.viz.marks import unit
+from fgrecon.viz.marks import draw_points, unit
 from fgrecon.viz.subjects import DrawnScene, DrawnVehicle
 from fgrecon.viz.truth import ORIENTATION_ERROR, TRANSLATION_ERROR
 
@@ -183,6 +183,10 @@ def draw_key(axes: Any, scene: DrawnScene, room: float, lines: float, scale: flo
     for dashes, colour, text in entries:
         axes.plot([0.02, 0.16], [y + 0.5, y + 0.5], color=unit(colour), linewidth=1.1, linestyle=dashes)
         axes.text(0.21, y + 0.5, text, fontsize=FONT, va="center", color=unit(ink))
+        y += 1.0
+    if any(len(result.diagnostics.points) for result in solved):
+        draw_points(axes, np.array([(0.05, y + 0.5), (0.13, y + 0.5)]), np.array([1.0, 0.0]), ink, zorder=1)
+        axes.text(0.21, y + 0.5, "points: used, not used", fontsize=FONT, va="center", color=unit(ink))
         y += 1.0
     if any(result.uncertainty.pose_covariance is not None for result in solved):
         from matplotlib.patches import Ellipse

@@ -118,6 +118,7 @@ class _FrameLog:
 
         self._stream = stream
         self._plotted: set[str] = set()
+        self._has_points = False
         self._plots: defaultdict[tuple[str, int], list[tuple[int, float, Sequence[float]]]] = defaultdict(list)
         axes = rr.ViewCoordinates.RDF
         stream.log(entities.WORLD, axes, static=True)
@@ -207,6 +208,19 @@ class _FrameLog:
         self._stream.log(f"{entities.WORLD}/cars", rr.LineStrips3D(**look(solid)))
         self._stream.log(f"{entities.WORLD}/headings", arrows)
         self._stream.log(f"{entities.WORLD}/paths", rr.LineStrips3D(**look(trails)))
+        self._log_points(vehicles, world_T_camera)
+
+    def _log_points(self, vehicles: Sequence[DrawnVehicle], world_T_camera: NDArray[np.float64]) -> None:
+        """The points of other sensors, of a video that has any; those of the frame before go."""
+        import rerun as rr
+
+        known = [v.result.diagnostics for v in vehicles if v.result is not None and len(v.result.diagnostics.points)]
+        self._has_points = self._has_points or bool(known)
+        if self._has_points:
+            places = np.concatenate([np.zeros((0, 3)), *(one.points for one in known)])
+            weights = np.concatenate([np.zeros(0), *(one.point_weights for one in known)])
+            shown = rr.Points3D(transform(world_T_camera, places), colors=style.weight_colours(weights), radii=-1.5)
+            self._stream.log(entities.WORLD_POINTS, shown)
 
     def send_plots(self) -> None:
         """Send the values of the vehicles that were not sent yet, in their colours, with their bands."""
