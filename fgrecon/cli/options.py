@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.parsing import parse_crop, parse_ground, parse_numbers
 from fgrecon.core.choices import BoxModel, StrategyName, TrafficSide
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.parsing import parse_ground, parse_numbers
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from collections.abc import Callable, Sequence
@@ -29,7 +29,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.core.camera import Ground
     from fgrecon.core.options import Options
     from fgrecon.io.boxes import FileBoxes
-    from fgrecon.io.cameras.camera_source import CameraSource
+    from fgrecon.io.cameras.camera_source import CameraSource, PartOfImage
     from fgrecon.io.kitti_drives import Drive
     from fgrecon.io.run_settings import RunSettings
     from fgrecon.viz import Recording
@@ -181,6 +181,23 @@ class CameraOptions:
             crop=None if self.crop is None else parse_crop(self.crop),
             scale_to_image=scale_to_image,
         )
+
+
+def parse_crop(text: str) -> PartOfImage:
+    """What `--crop` says.
+
+    Raises:
+        InvalidInputError: It is not two or four numbers, or no part of an image.
+    """
+    from fgrecon.io.cameras.camera_source import PartOfImage
+
+    expected = "left,top or left,top,width,height: the part's corner, and the size of the whole image, in pixels"
+    left, top, *size = parse_numbers("crop", text, expected, (2, 4))
+    if min(left, top) < 0:
+        raise InvalidInputError("crop", text, f"Give {expected}.")
+    if not all(side >= 1 and side == round(side) for side in size):
+        raise InvalidInputError("crop", text, "Give width and height in whole pixels.")
+    return PartOfImage(left, top, (int(size[0]), int(size[1])) if size else None)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.batch.results_file import document
 from fgrecon.batch.solve_tasks import (
     Outcome,
     SolvedImage,
@@ -37,6 +38,7 @@ from fgrecon.io.files import write_text
 from fgrecon.io.images import IMAGES, read_photograph
 from fgrecon.io.nuscenes import NEAREST
 from fgrecon.io.run_settings import RunSettings
+from fgrecon.viz.outcomes import draw, draw_moving, recordings
 
 _NAMED = 8
 """Vehicles that an error names."""
@@ -197,15 +199,15 @@ def _deliver(
     drawings, pixels, outcomes = request.drawings, photograph.source.image, solved.outcomes
     image = file if _is_image(file) else drawings.image
     history = request.results.history
-    screen.write_json(report.document(file, outcomes, settings, solved.images, image, history=history))
+    screen.write_json(document(file, outcomes, settings, solved.images, image, history=history))
     grounds = solved.grounds(settings)
     if drawings.picture is not None:
-        screen.wrote(*report.draw(drawings.picture, outcomes, pixels, grounds, sheet=drawings.sheet))
+        screen.wrote(*draw(drawings.picture, outcomes, pixels, grounds, sheet=drawings.sheet))
     if drawings.animation is not None:
-        screen.wrote(*report.draw_moving(drawings.animation, outcomes, pixels))
+        screen.wrote(*draw_moving(drawings.animation, outcomes, pixels))
     if request.delivery.requested:
-        recordings = report.recordings(outcomes, pixels, grounds)
-        request.delivery.deliver(recordings, screen, several=len(grounds) > 1 or len(recordings) > 1)
+        made = recordings(outcomes, pixels, grounds)
+        request.delivery.deliver(made, screen, several=len(grounds) > 1 or len(made) > 1)
 
 
 def reconstruct_each(files: Sequence[Path], request: ReconstructRequest, screen: Screen) -> bool:
@@ -354,14 +356,14 @@ class _Work:
         outcomes = with_closest(outcomes, self.models)
         screen.print(f"{path}:")
         report.print_table(screen, outcomes)
-        document = report.document(path, outcomes, self.settings, images, path, history=results.history)
+        text = document(path, outcomes, self.settings, images, path, history=results.history)
         target = self.targets[path]
-        screen.wrote(write_text(_with_ending(target, ".json"), document))
+        screen.wrote(write_text(_with_ending(target, ".json"), text))
         if results.pictures:
             pixels: NDArray[np.uint8] | None = photograph.source.image
             pixels = read_photograph(path)[0] if pixels is None else pixels
             grounds = _Solved(photograph.tasks, outcomes, images).grounds(self.settings)
-            screen.wrote(*report.draw(_with_ending(target, ".png"), outcomes, pixels, grounds, sheet=False))
+            screen.wrote(*draw(_with_ending(target, ".png"), outcomes, pixels, grounds, sheet=False))
         try:
             problem = None if check_any(path, outcomes) else outcomes[0].error or _all_failed(path)
         except InvalidInputError as error:

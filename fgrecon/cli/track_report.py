@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
+from fgrecon.batch.results_file import SCHEMA_VERSION, entry_of
 from fgrecon.batch.solve_tasks import solve_task
 from fgrecon.batch.vehicle_tasks import VehicleTask, read_tasks
-from fgrecon.cli.reconstruct_report import SCHEMA_VERSION, entry_of
 from fgrecon.cli.reconstruct_report import details as result_details
 from fgrecon.cli.terminal import compact_table
 from fgrecon.core.errors import InvalidInputError

@@ -11,8 +11,8 @@ import typer
 
 from fgrecon.cli.options import JsonOption, WeightsOption, fitting_names
 from fgrecon.cli.outputs import check_outputs
-from fgrecon.cli.parsing import parse_numbers
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.parsing import parse_numbers
 from fgrecon.io.files import check_output
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
 

@@ -11,9 +11,9 @@ import typer
 
 from fgrecon.cli.options import FLEETS, GroundOption, JsonOption, PriorOption, WeightsOption
 from fgrecon.cli.outputs import check_outputs
-from fgrecon.cli.parsing import parse_ground
 from fgrecon.cli.terminal import Terminal, stepwise
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.parsing import parse_ground
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.calibration.selection import Selection

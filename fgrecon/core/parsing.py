@@ -1,4 +1,4 @@
-"""Values of options in words: numbers separated by commas, a ground plane, a part of an image."""
+"""Grounds and numbers as options have them: texts, and numbers separated by commas."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.core.camera import Ground
-    from fgrecon.io.cameras.camera_source import PartOfImage
 
 
 def parse_ground(plane: str | None, height: float | None) -> tuple[Ground, str] | None:
@@ -41,23 +40,6 @@ def parse_ground(plane: str | None, height: float | None) -> tuple[Ground, str] 
 
     nx, ny, nz, distance = numbers
     return Ground(np.array([nx, ny, nz]), distance).as_given(), f"plane {plane}"
-
-
-def parse_crop(text: str) -> PartOfImage:
-    """What `--crop` says.
-
-    Raises:
-        InvalidInputError: It is not two or four numbers, or no part of an image.
-    """
-    from fgrecon.io.cameras.camera_source import PartOfImage
-
-    expected = "left,top or left,top,width,height: the part's corner, and the size of the whole image, in pixels"
-    left, top, *size = parse_numbers("crop", text, expected, (2, 4))
-    if min(left, top) < 0:
-        raise InvalidInputError("crop", text, f"Give {expected}.")
-    if not all(side >= 1 and side == round(side) for side in size):
-        raise InvalidInputError("crop", text, "Give width and height in whole pixels.")
-    return PartOfImage(left, top, (int(size[0]), int(size[1])) if size else None)
 
 
 def parse_numbers(field: str, text: str, expected: str, counts: tuple[int, ...]) -> list[float]:
