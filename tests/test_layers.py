@@ -65,9 +65,13 @@ ROOMS = {
     "calibration": {
         *("core", "io", "io/datasets", "io/export", "solve/vehicle", "perception", "perception/keypoints", "video"),
     },
+    "app": {
+        *("core", "io", "io/cameras", "io/keypoints", "solve", "simulation", "perception", "perception/keypoints"),
+        "batch",
+    },
     "cli": {
         *("core", "io", "io/datasets", "io/cameras", "io/export", "io/keypoints", "solve", "simulation", "perception"),
-        *("perception/keypoints", "batch", "video", "viz", "calibration"),
+        *("perception/keypoints", "batch", "video", "viz", "calibration", "app"),
     },
     "research": {"core", "simulation"},
     "research/io": {"core", "io", "io/sensors"},

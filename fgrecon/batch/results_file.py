@@ -25,7 +25,8 @@ FORMAT = f"fgrecon.reconstructions/{SCHEMA_VERSION}"
 
 
 @cache
-def _version() -> str:
+def installed_version() -> str:
+    """The version that results files state."""
     return metadata.version("fgrecon")
 
 
@@ -37,6 +38,7 @@ def document(
     photograph: Path | None = None,
     *,
     history: bool = False,
+    warnings: Sequence[str] = (),
 ) -> str:
     """The JSON text of a run: settings, and result or error of every vehicle.
 
@@ -47,14 +49,16 @@ def document(
         images: Images whose vehicles were solved together.
         photograph: The image of vehicles of which the input does not say it, or None.
         history: Whether results keep their history and graph.
+        warnings: What there is to warn of, for who sees nothing but the file.
     """
     content = {
         "format": FORMAT,
         "schema_version": SCHEMA_VERSION,
-        "fgrecon": _version(),
+        "fgrecon": installed_version(),
         "file": str(path),
         "settings": settings_to_dict(settings)
         | {"joint": settings.options.shape.joint, "free_offsets": settings.options.shape.free_offsets},
+        **({"warnings": list(warnings)} if warnings else {}),
         **({"scenes": [image.to_dict() for image in images]} if images else {}),
         "instances": [_entry(outcome, photograph, history=history) for outcome in outcomes],
     }

@@ -26,6 +26,7 @@ from fgrecon.cli.refine import refine_command
 from fgrecon.cli.replay import replay_command
 from fgrecon.cli.run import run_command
 from fgrecon.cli.sample import sample_command
+from fgrecon.cli.serve import serve_command
 from fgrecon.cli.track import track_command
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.text import printable
@@ -51,6 +52,7 @@ add_command(app, "track", track_command)
 add_command(app, "replay", replay_command)
 add_command(app, "export", export_command)
 add_command(app, "calibrate", calibrate_command)
+add_command(app, "serve", serve_command)
 evaluate = new_group(
     "evaluate",
     "Compare fgrecon with other methods on data with known poses.",
