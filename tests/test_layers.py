@@ -17,7 +17,7 @@ ROOMS = {
     "io/cameras": {"core", "io", "io/datasets"},
     "io/sensors": {"core", "io", "io/cameras"},
     "solve/vehicle": {"factors", "core"},
-    "io/export": {"core", "io", "solve/vehicle"},
+    "io/export": {"core", "io", "io/datasets", "solve/vehicle"},
     "solve/proposals": {"factors", "core", "solve/vehicle"},
     "solve/graph": {"factors", "core", "solve/vehicle", "solve/proposals"},
     "solve/time": {"factors", "core", "solve/proposals", "solve/graph"},

@@ -12,7 +12,10 @@ from fgrecon.cli.options import PRIORS, fitting_names
 from fgrecon.cli.terminal import Verbosity
 from fgrecon.core.text import counted
 
-_FORMATS = "nuscenes or coco for .json; foxglove or vision_msgs for .mcap."
+_FORMATS = (
+    "nuscenes, nuscenes_tracking, coco, cityscapes3d or openlabel for .json; foxglove or vision_msgs for .mcap; kitti, "
+    "tum or kitti_poses for .txt."
+)
 
 
 def _kinds() -> list[str]:
@@ -37,7 +40,10 @@ class ExportOptions:
     ] = None
     images: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.json", help="Tokens, ids, times and camera poses of the images (see File formats)."),
+        typer.Option(
+            metavar="FILE.json|DATASET",
+            help="Tokens, ids, times and camera poses of the images (see File formats), or their data set.",
+        ),
     ] = None
     prior: Annotated[
         str | None,
@@ -61,7 +67,7 @@ def export_command(
     ],
     out: Annotated[
         Path,
-        typer.Argument(metavar="OUT", help="File to write: .ply, .glb, .csv, .parquet, .txt (KITTI), .json, .mcap."),
+        typer.Argument(metavar="OUT", help="File to write: .ply, .glb, .csv, .parquet, .txt, .json, .feather, .mcap."),
     ],
     options: ExportOptions,
     terminal: Verbosity,
@@ -69,11 +75,12 @@ def export_command(
     """Write results for other programs; the ending of OUT, or --format, chooses the kind of file.
 
     PLY and GLB: surfaces and wireframes in the camera frame. CSV and Parquet: one row per vehicle. TXT: KITTI's result
-    lines of one image, in the frame of KITTI's labels where the results know it. JSON: nuScenes' detections, or COCO's
-    keypoints with cuboids. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray, under an upright frame `map`.
+    lines of one image, in the frame of KITTI's labels where the results know it; or the camera's path (TUM, KITTI).
+    JSON: nuScenes' detections or tracks, COCO's keypoints with cuboids, Cityscapes' 3D boxes, or OpenLABEL. FEATHER:
+    Argoverse 2's detections. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray, under an upright frame `map`.
     --verbose names the vehicles.
 
-    Of a video's run JSON and MCAP are made, with the times of the frames; its folder has tables already.
+    Of a video's run JSON, FEATHER, MCAP and the camera's path are made; its folder has tables already.
     """
     from fgrecon.io.export import export, read_images_file, read_results, read_video_frames
     from fgrecon.io.export.formats import check_format

@@ -1,4 +1,4 @@
-"""Results as data sets' evaluations take them: lines of KITTI, JSON of nuScenes and of COCO."""
+"""Results as lines of KITTI and as JSON of COCO."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import wrap_angle
-from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, image_box, info_of, quaternion, score
+from fgrecon.io.export.image_info import ImageInfo, by_image, image_box, info_of, score
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.kitti_files import Objects, format_results
 
@@ -21,45 +21,6 @@ _UNKNOWN = -1.0  # KITTI's mark
 _KITTI_KINDS = {kind.lower(): kind for kind in ("Car", "Van", "Truck", "Tram", "Misc")}
 _COCO_CATEGORY = 1
 _VISIBLE_PROBABILITY = 0.5  # keypoints above it have COCO's flag of visible ones
-_META = {"use_camera": True, "use_lidar": False, "use_radar": False, "use_map": False, "use_external": True}
-
-
-def nuscenes_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
-    """The JSON of a submission. Velocities are zero and attributes empty: a single image shows neither.
-
-    Args:
-        results: Vehicles; those without a pose are left out.
-        images: `sample_token` and `world_T_camera` of their images. A sample without a vehicle has an empty list.
-
-    Raises:
-        InvalidInputError: Either is missing for an image; names it.
-    """
-    found: dict[str, list[dict[str, Any]]] = {i.sample_token: [] for i in images.values() if i.sample_token}
-    for image, items in by_image(results).items():
-        info = info_of(image, images)
-        for field in ("sample_token", "world_T_camera"):
-            if getattr(info, field) is None:
-                fix = "Give a file of images (`images`, --images) that tells it."
-                raise InvalidInputError(f"images.{image or '*'}.{field}", "nothing", fix)
-        assert info.sample_token is not None
-        found.setdefault(info.sample_token, []).extend(_nuscenes_entry(item, info) for item in items)
-    return json.dumps({"meta": _META, "results": found}, allow_nan=False) + "\n"
-
-
-def _nuscenes_entry(item: NamedResult, info: ImageInfo) -> dict[str, Any]:
-    length, width, height = item.result.box_size.tolist()
-    centre, axes = box_in(info, item.result.camera_T_object, item.result.box_size)
-    x, y, z, w = quaternion(axes)
-    return {
-        "sample_token": info.sample_token,
-        "translation": centre.tolist(),
-        "size": [width, length, height],
-        "rotation": [w, x, y, z],
-        "velocity": [0.0, 0.0],
-        "detection_name": "car",
-        "detection_score": score(item),
-        "attribute_name": "",
-    }
 
 
 def kitti_text(results: Sequence[NamedResult]) -> str:

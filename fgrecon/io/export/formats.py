@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.export.dataset_results import coco_results_text, kitti_text, nuscenes_text
+from fgrecon.io.export.camera_path import kitti_poses_text, tum_text
+from fgrecon.io.export.dataset_results import coco_results_text, kitti_text
 from fgrecon.io.export.image_info import ImageInfo
 from fgrecon.io.export.mcap import detections_bytes, scene_bytes
 from fgrecon.io.export.mesh import glb_bytes, ply_bytes
+from fgrecon.io.export.openlabel import openlabel_text
 from fgrecon.io.export.results import NamedResult
+from fgrecon.io.export.submissions import argoverse2_bytes, cityscapes3d_text, nuscenes_text, nuscenes_tracking_text
 from fgrecon.io.export.table import csv_of_rows, csv_text, parquet_bytes, parquet_of_rows
 from fgrecon.io.files import check_ending, write_bytes
 
@@ -24,6 +27,12 @@ _WRITERS: dict[str, Callable[[Sequence[NamedResult], Images], bytes]] = {
     "parquet": lambda results, _: parquet_bytes(results),
     "kitti": lambda results, _: kitti_text(results).encode(),
     "nuscenes": lambda results, images: nuscenes_text(results, images).encode(),
+    "nuscenes_tracking": lambda results, images: nuscenes_tracking_text(results, images).encode(),
+    "argoverse2": argoverse2_bytes,
+    "cityscapes3d": lambda results, images: cityscapes3d_text(results, images).encode(),
+    "openlabel": lambda results, images: openlabel_text(results, images).encode(),
+    "tum": lambda _, images: tum_text(images).encode(),
+    "kitti_poses": lambda _, images: kitti_poses_text(images).encode(),
     "coco": lambda results, images: coco_results_text(results, images).encode(),
     "foxglove": scene_bytes,
     "vision_msgs": detections_bytes,
@@ -34,10 +43,17 @@ KINDS = tuple(_WRITERS)
 
 _ENDINGS: dict[str, tuple[str, ...]] = {
     **{kind: (kind,) for kind in ("ply", "glb", "csv", "parquet")},
-    "txt": ("kitti",),
-    "json": ("nuscenes", "coco"),
+    "txt": ("kitti", "tum", "kitti_poses"),
+    "json": ("nuscenes", "nuscenes_tracking", "coco", "cityscapes3d", "openlabel"),
+    "feather": ("argoverse2",),
     "mcap": ("foxglove", "vision_msgs"),
 }
+
+_PLAIN = {"txt": "kitti"}
+"""What is meant by an ending alone that stands for several kinds."""
+
+_OF_FRAMES = frozenset(["tum", "kitti_poses"])
+"""Kinds that are about the images alone: they need no vehicle."""
 
 FORMATS = tuple(_ENDINGS)
 """The endings of their names."""
@@ -61,7 +77,8 @@ def check_format(path: str | Path, kind: str | None = None) -> str:
     Raises:
         InvalidInputError: Nothing is written with that ending, it stands for several kinds, or not for this one.
     """
-    kinds = _ENDINGS[check_ending(path, FORMATS)]
+    ending = check_ending(path, FORMATS)
+    kinds, kind = _ENDINGS[ending], kind or _PLAIN.get(ending)
     if kind is None and len(kinds) > 1:
         raise InvalidInputError("format", f"none for {Path(path).name}", f"Give {' or '.join(kinds)}.")
     if kind is not None and kind not in kinds:
@@ -76,11 +93,11 @@ def export(
 
     Args:
         path: `.ply` or `.glb`: surfaces and wireframes in the camera frame; `.csv` or `.parquet`: one row per vehicle;
-            `.txt`: KITTI's result lines of one image; `.json`: nuScenes' or COCO's results; `.mcap`: Foxglove's or ROS
-            2's messages.
+            `.txt`: KITTI's result lines of one image, or poses of the camera; `.json`: results for nuScenes, COCO or
+            Cityscapes 3D, or OpenLABEL; `.feather`: Argoverse 2's detections; `.mcap`: Foxglove's or ROS 2's messages.
         results: Vehicles; those without a pose are left out, except in tables.
         kind: One of `KINDS`, where the ending stands for several.
-        images: What is known of their images (`fgrecon.io.export.image_info`), for nuScenes, COCO and MCAP.
+        images: What is known of their images (`fgrecon.io.export.image_info`), for all but meshes, tables and KITTI.
 
     Returns:
         The path written to.
@@ -91,9 +108,10 @@ def export(
         MissingPackageError: A package for MCAP is not installed.
     """
     check_ending(path, FORMATS)
-    if not results:
+    chosen = check_format(path, kind) if results or kind in _OF_FRAMES else None
+    if chosen is None:
         raise InvalidInputError("results", "none", "Give at least one reconstructed vehicle.")
-    return write_bytes(path, _WRITERS[check_format(path, kind)](results, images or {}))
+    return write_bytes(path, _WRITERS[chosen](results, images or {}))
 
 
 def export_rows(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:

@@ -15,6 +15,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import FORWARD_LEFT_UP, box_around, transform
 from fgrecon.core.outline import imaged, points_ahead
 from fgrecon.core.repr import brief_repr
+from fgrecon.io.datasets import is_data_set, open_sequence
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.json_fields import Fields, read_json
 
@@ -31,48 +32,73 @@ class ImageInfo:
     """What is known of an image.
 
     Attributes:
-        sample_token: nuScenes' token of the sample, or None.
+        sample_token: nuScenes' token of the sample, Argoverse's time of the sweep; empty where the image is of none
+            that is evaluated; None where it is not known.
         image_id: COCO's number or name of the image, or None.
         timestamp: When it was taken, seconds; or None.
         world_T_camera: (4, 4) pose of the camera in the world's frame, or None.
+        sequence: The drive that the image is of, such as Argoverse's log, or None.
+        world_T_vehicle: (4, 4) pose of the vehicle at the time of the sample, or None.
     """
 
     sample_token: str | None = None
     image_id: int | str | None = None
     timestamp: float | None = None
     world_T_camera: Array | None = None
+    sequence: str | None = None
+    world_T_vehicle: Array | None = None
 
     __repr__ = brief_repr
 
 
 def read_images_file(path: Path) -> dict[str, ImageInfo]:
-    """What a JSON file tells of images.
+    """What a JSON file, or a data set, tells of images.
 
     Args:
-        path: An object that has for each image (or `*`, for those not named) an object with `sample_token`, `image_id`,
-            `timestamp` in seconds and `world_T_camera` (4 x 4), as far as they are known.
+        path: A camera of a data set (`fgrecon.io.datasets`); or JSON: an object that has for each image (or `*`, for
+            those not named) an object with `sample_token`, `image_id`, `timestamp` in seconds, `world_T_camera`,
+            `world_T_vehicle` (4 x 4) and `sequence`, as far as they are known.
 
     Raises:
         InvalidInputError: The file cannot be read, or a field is of the wrong kind; names image and field.
     """
+    if is_data_set(path):
+        return _of_data_set(path)
     data = read_json(path)
     if not isinstance(data, Mapping):
         raise InvalidInputError(str(path), type(data).__name__, "Give an object by image.")
     return {str(name): _info(Fields(entry, f"{path}: {name}.")) for name, entry in data.items()}
 
 
+def _of_data_set(source: Path) -> dict[str, ImageInfo]:
+    found, camera = open_sequence(source)
+    images = found.images if camera is None else found.of_camera(camera)
+    return {
+        image.path.name: ImageInfo(
+            sample_token=image.moment or "",
+            timestamp=image.time if found.continuous else None,
+            world_T_camera=image.world_T_camera,
+            sequence=found.name,
+            world_T_vehicle=None if image.moment is None else found.moments[image.moment].world_T_vehicle,
+        )
+        for image in images
+    }
+
+
 def _info(fields: Fields) -> ImageInfo:
     number = fields.data.get("image_id")
     if number is not None and not (isinstance(number, int | str) and not isinstance(number, bool)):
         raise InvalidInputError(f"{fields.where}image_id", number, "Give an integer or a text.")
-    pose = fields.numbers("world_T_camera", (4, 4)) if "world_T_camera" in fields else None
-    if pose is not None:
-        pose = as_rigid(f"{fields.where}world_T_camera", pose, _RIGID)
+    known: dict[str, Any] = {
+        name: as_rigid(f"{fields.where}{name}", fields.numbers(name, (4, 4)), _RIGID)
+        for name in ("world_T_camera", "world_T_vehicle")
+        if name in fields
+    }
+    known |= {name: fields.get(name, str) for name in ("sample_token", "sequence") if name in fields}
     return ImageInfo(
-        sample_token=fields.get("sample_token", str) if "sample_token" in fields else None,
         image_id=number,
         timestamp=float(fields.numbers("timestamp", ())) if "timestamp" in fields else None,
-        world_T_camera=pose,
+        **known,
     )
 
 

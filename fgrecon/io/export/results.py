@@ -92,6 +92,7 @@ class NamedResult:
         row: Row of a batch that it is from; stands for the image where that is not known.
         kind: What it is by its detector, such as `Van`, or None.
         score: How sure its detector is, or None.
+        velocity: (3,) along the world's axes, m/s, or None.
     """
 
     name: str
@@ -104,6 +105,7 @@ class NamedResult:
     row: str = ""
     kind: str | None = None
     score: float | None = None
+    velocity: NDArray[np.float64] | None = None
 
     __repr__ = brief_repr
 

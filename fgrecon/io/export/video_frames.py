@@ -18,7 +18,13 @@ from fgrecon.io.json_fields import parse_json
 
 _FILE = "frames.jsonl"
 _FORMAT = "fgrecon.video-frame/1"
-_OF_IMAGES = ("nuscenes", "coco", "foxglove", "vision_msgs")
+_OF_IMAGES = frozenset(
+    [
+        *("nuscenes", "nuscenes_tracking", "argoverse2", "openlabel", "coco", "foxglove", "vision_msgs"),
+        "tum",
+        "kitti_poses",
+    ]
+)
 
 
 def frames_file(path: Path) -> Path | None:
@@ -41,7 +47,7 @@ def check_video_format(path: Path, kind: str | None = None) -> None:
     if (found := check_format(path, kind)) not in _OF_IMAGES:
         fix = (
             f"`fgrecon run` has written tracks.csv, tracks.parquet, tracks.txt (KITTI's tracking) and {_FILE} there. "
-            "Give .mcap or .json for another file."
+            "Give .mcap, .json or .feather for another file, or --format tum or kitti_poses for the camera's path."
         )
         raise InvalidInputError("format", f"{found} for a video", fix)
 
@@ -87,6 +93,8 @@ def _add(frame: Any, results: list[NamedResult], infos: dict[str, ImageInfo]) ->
         if vehicle["result"] is not None:
             result, box = Reconstruction.from_dict(vehicle["result"]), as_finite("box", vehicle["box"], (4,))
             rest = {name: vehicle.get(name) for name in ("kind", "score")}
+            if placed is not None and vehicle.get("velocity_x") is not None:
+                rest["velocity"] = as_finite("velocity", [vehicle[f"velocity_{axis}"] for axis in "xyz"], (3,))
             results.append(NamedResult(str(vehicle["id"]), result, box, image=image, ground=ground_of(frame), **rest))
 
 

@@ -1,0 +1,155 @@
+"""Results as evaluations of data sets take them: nuScenes' detections and tracks, Argoverse 2's, Cityscapes 3D's."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, image_box, info_of, quaternion, score
+from fgrecon.io.export.results import NamedResult
+
+Array = NDArray[np.float64]
+
+_META = {"use_camera": True, "use_lidar": False, "use_radar": False, "use_map": False, "use_external": True}
+
+
+def nuscenes_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
+    """The JSON of a submission of the detection task. Attributes are empty, and velocities zero where none is known.
+
+    Args:
+        results: Vehicles; those without a pose are left out.
+        images: `sample_token` and `world_T_camera` of their images. A sample without a vehicle has an empty list;
+            images of no sample, whose token is empty, are left out.
+
+    Raises:
+        InvalidInputError: Either is missing for an image; names it.
+    """
+    names = {"detection_name": "car", "attribute_name": ""}
+    return _nuscenes(results, images, lambda item: {**names, "detection_score": float(score(item))})
+
+
+def nuscenes_tracking_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
+    """The JSON of a submission of the tracking task; see `nuscenes_text`. A vehicle's name is its track.
+
+    Raises:
+        InvalidInputError: As `nuscenes_text` raises it.
+    """
+
+    def entry(item: NamedResult) -> dict[str, Any]:
+        return {"tracking_id": item.name, "tracking_name": "car", "tracking_score": float(score(item))}
+
+    return _nuscenes(results, images, entry)
+
+
+def _nuscenes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo], entry: Any) -> str:
+    found: dict[str, list[dict[str, Any]]] = {i.sample_token: [] for i in images.values() if i.sample_token}
+    for item, info in _of_samples(results, images, "sample_token", "world_T_camera"):
+        length, width, height = item.result.box_size.tolist()
+        centre, axes = box_in(info, item.result.camera_T_object, item.result.box_size)
+        x, y, z, w = quaternion(axes)
+        assert info.sample_token is not None
+        found.setdefault(info.sample_token, []).append(
+            {
+                "sample_token": info.sample_token,
+                "translation": centre.tolist(),
+                "size": [width, length, height],
+                "rotation": [w, x, y, z],
+                "velocity": [0.0, 0.0] if item.velocity is None else item.velocity[:2].tolist(),
+                **entry(item),
+            }
+        )
+    return json.dumps({"meta": _META, "results": found}, allow_nan=False) + "\n"
+
+
+def argoverse2_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> bytes:
+    """A feather file of Argoverse 2's detections: a row a box, in the vehicle's frame at the time of the sweep.
+
+    Args:
+        results: Vehicles; those without a pose are left out, and so are those of images that are of no sweep.
+        images: `sample_token` (the sweep's time in nanoseconds), `sequence` (the log), `world_T_camera` and
+            `world_T_vehicle` (of the sweep) of their images; `--images` takes them from the data set.
+
+    Raises:
+        InvalidInputError: One is missing for an image; names it.
+    """
+    import pyarrow as pa
+    from pyarrow import feather
+
+    needed = ("sample_token", "sequence", "world_T_camera", "world_T_vehicle")
+    rows = []
+    for item, info in _of_samples(results, images, *needed):
+        centre, axes = box_in(info, item.result.camera_T_object, item.result.box_size)
+        assert info.world_T_vehicle is not None
+        vehicle_T_world = np.linalg.inv(info.world_T_vehicle)
+        x, y, z, w = quaternion(vehicle_T_world[:3, :3] @ axes)
+        place = vehicle_T_world[:3, :3] @ centre + vehicle_T_world[:3, 3]
+        times = {"timestamp_ns": int(info.sample_token or 0), "log_id": info.sequence}
+        box = dict(zip(("tx_m", "ty_m", "tz_m"), place.tolist(), strict=True))
+        box |= dict(zip(("length_m", "width_m", "height_m"), item.result.box_size.tolist(), strict=True))
+        what = {"category": "REGULAR_VEHICLE", "track_uuid": item.name, "score": float(score(item))}
+        rows.append(box | {"qw": w, "qx": x, "qy": y, "qz": z} | what | times)
+    if not rows:
+        raise InvalidInputError("results", "no vehicle of a sweep", "Give results of images that show labelled sweeps.")
+    sink = io.BytesIO()
+    feather.write_feather(pa.Table.from_pylist(rows), sink, compression="uncompressed")
+    return sink.getvalue()
+
+
+def cityscapes3d_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
+    """The JSON of an image's boxes for Cityscapes 3D's evaluation, in the vehicle's frame.
+
+    Args:
+        results: Vehicles of one image.
+        images: Its `world_T_camera`, where the world is the vehicle.
+
+    Raises:
+        InvalidInputError: The pose is missing, or the vehicles are of several images, each of which has a file.
+    """
+    if len(of_images := by_image(results)) > 1:
+        fix = "Write a file for each image (fgrecon.io.export.export): Cityscapes has them so."
+        raise InvalidInputError("results", f"vehicles of {len(of_images)} images", fix)
+    entries = []
+    for item, info in _of_samples(results, images, "world_T_camera"):
+        centre, axes = box_in(info, item.result.camera_T_object, item.result.box_size)
+        x, y, z, w = quaternion(axes)
+        low, high = np.split(image_box(item), 2)
+        outline = [*low.tolist(), *(high - low).tolist()]
+        entries.append(
+            {
+                "2d": {"modal": outline, "amodal": outline},
+                "3d": {
+                    "center": centre.tolist(),
+                    "dimensions": item.result.box_size.tolist(),
+                    "rotation": [w, x, y, z],
+                },
+                "label": "car",
+                "score": float(score(item)),
+            }
+        )
+    return json.dumps({"objects": entries}, allow_nan=False) + "\n"
+
+
+def _of_samples(
+    results: Sequence[NamedResult], images: Mapping[str, ImageInfo], *needed: str
+) -> Iterator[tuple[NamedResult, ImageInfo]]:
+    """The vehicles of images that are of a sample, with what is known of their images.
+
+    Raises:
+        InvalidInputError: One of the needed fields is missing for an image; names it.
+    """
+    for image, items in by_image(results).items():
+        info = info_of(image, images)
+        if info.sample_token == "":
+            continue
+        for field in needed:
+            if getattr(info, field) is None:
+                fix = "Give a file of images, or the data set (`images`, --images), that tells it."
+                raise InvalidInputError(f"images.{image or '*'}.{field}", "nothing", fix)
+        for item in items:
+            yield item, info
