@@ -16,7 +16,8 @@ from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, KeypointFile, parse_keypoints, refuse_other_file
 from fgrecon.io.keypoints.coco_records import annotation_records, is_annotations, is_result, result_records
 from fgrecon.io.keypoints.names import Names, NamesLike, naming_of, parse_names, scheme_keypoints, shipped_schemes
-from fgrecon.io.keypoints.network_results import object_records
+from fgrecon.io.keypoints.network_records import network_instances, network_records
+from fgrecon.io.keypoints.network_results import is_network_result, object_records
 from fgrecon.io.keypoints.records import NOT_JSON, named_records
 from fgrecon.io.keypoints.translate import translated
 
@@ -62,6 +63,8 @@ def parse_any_keypoints(
     known = None if names is None else parse_names(names, category)
     if is_annotations(data):
         return _parsed(annotation_records(data, where), category, known, image, where)
+    if (found := network_instances(data)) is not None:
+        return _parsed(network_records(found, category, known, where), category, known, image, where)
     entries = data if isinstance(data, list) else [data]
     if any(is_result(entry) for entry in entries):
         return _parsed(result_records(entries, category, known, where), category, known, image, where)
@@ -78,8 +81,9 @@ def keypoints_from(
             result = fgrecon.reconstruct(vehicle.observation, camera)
 
     Args:
-        given: Results of ultralytics (of one image or a list), `supervision.KeyPoints`, OpenPifPaf's annotations, or
-            the content of a JSON file that `fgrecon reconstruct` reads.
+        given: Results of ultralytics, torchvision, detectron2 or MMPose (of one image or a list),
+            `supervision.KeyPoints`, OpenPifPaf's annotations, or the content of a JSON file that `fgrecon reconstruct`
+            reads.
         names: Which points these are, where nothing says it: names in the order of the points, None for a point that
             means nothing here; a mapping from their names to those of the category, several to one for their centre;
             a shipped scheme (`apollo24`, `apollo66`, `carfusion`, `pascal12`); or a file with either.
@@ -108,6 +112,8 @@ def keypoints_from(
 def _plain(given: Any) -> Any:
     """The content of a JSON file, as which OpenPifPaf's annotations give themselves; None for other objects."""
     items = given if isinstance(given, list | tuple) else [given]
+    if any(is_network_result(item) for item in items):
+        return None
     if all(isinstance(item, Mapping) for item in items):
         return given
     if all(callable(getattr(item, "json_data", None)) for item in items):

@@ -1,11 +1,20 @@
-"""Instances from what keypoint networks return in Python: results of ultralytics, supervision and OpenPifPaf.
+"""Instances from what keypoint networks return in Python: classes, scores and tracks are kept beside the points.
 
-None of these packages is imported: an object is known by what it has.
+| object | known by |
+|---|---|
+| ultralytics' `Results` | `keypoints.xy`, `orig_shape` |
+| `supervision.KeyPoints` | `xy` |
+| MMPose's `PoseDataSample` | `pred_instances.keypoints`, `keypoint_scores` |
+| torchvision's dictionary | `keypoints`, `keypoints_scores` |
+| detectron2's `Instances` | `pred_keypoints`; or `instances` in a dictionary |
+
+None of these packages is imported. What they write as JSON is in `network_records`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +28,45 @@ from fgrecon.io.keypoints.names import Names, order_of
 
 Array = NDArray[np.float64]
 _Records = Iterator[tuple[dict[str, Any], str]]
-_PROBABLE = 0.5  # ultralytics learns confidences as the probability that a point is visible
-_FIX = "Give results of ultralytics, `supervision.KeyPoints`, OpenPifPaf's annotations, or the content of a JSON file."
+PROBABLE = 0.5
+"""Confidence of a point that is as likely right as wrong where networks have learnt probabilities."""
+_HEAT = 0.05  # detectron2 draws no point whose share of the heat map is less
+_FIX = (
+    "Give results of ultralytics, torchvision, detectron2 or MMPose, `supervision.KeyPoints`, OpenPifPaf's annotations "
+    "or the content of a JSON file."
+)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a network has found in an image.
+
+    Attributes:
+        field: Name of the pixels.
+        points: (N, P, 2) pixels.
+        confidence: (N, P), or None.
+        boxes: (N, 4) corners, or None.
+        scores: (N,), or None.
+        tracks: (N,), or None.
+        kinds: N names of classes, or None.
+        shared: What every instance has.
+    """
+
+    field: str
+    points: Array
+    confidence: Array | None = None
+    boxes: Array | None = None
+    scores: Array | None = None
+    tracks: Array | None = None
+    kinds: Sequence[str] | None = None
+    shared: Mapping[str, Any] | None = None
+
+
+def is_network_result(given: Any) -> bool:
+    """Whether a dictionary is what torchvision or detectron2 returns, and no content of a JSON file."""
+    return isinstance(given, Mapping) and (
+        hasattr(given.get("keypoints_scores"), "shape") or hasattr(given.get("instances"), "pred_keypoints")
+    )
 
 
 def object_records(given: Any, category: Category, names: Names | None, where: str = "") -> _Records:
@@ -29,73 +75,133 @@ def object_records(given: Any, category: Category, names: Names | None, where: s
     Points at (0, 0) are those that a network did not find.
 
     Args:
-        given: `ultralytics` results of one image, or `supervision.KeyPoints`.
+        given: What a network returned for one image, as above.
         category: The category whose keypoints are wanted.
         names: What the user says of the points, which have no names here.
         where: What errors begin with.
 
     Raises:
-        InvalidInputError: The object is neither, or has an array of a wrong shape; names it.
+        InvalidInputError: The object is none of these, or has an array of a wrong shape; names it.
     """
     points: Any = getattr(given, "keypoints", None)
-    if hasattr(points, "xy") and hasattr(given, "orig_shape"):
-        boxes = getattr(given, "boxes", None)
-        corners = None if boxes is None else _array(getattr(boxes, "xyxy", None), f"{where}boxes.xyxy")
-        source = getattr(given, "path", None)
-        return _records(
-            (_array(points.xy, f"{where}keypoints.xy"), _optional(getattr(points, "conf", None), f"{where}conf")),
-            (category, names, f"{where}keypoints"),
-            corners,
-            {"confidence_midpoint": _PROBABLE} | ({"image": Path(source).name} if isinstance(source, str) else {}),
-        )
-    if hasattr(given, "xy"):
-        trust = next((getattr(given, n) for n in ("keypoint_confidence", "confidence") if hasattr(given, n)), None)
-        return _records(
-            (_array(given.xy, f"{where}xy"), _optional(trust, f"{where}confidence")),
-            (category, names, f"{where}xy"),
-            None,
-            {},
-        )
-    raise InvalidInputError(f"{where}keypoints", type(given).__name__, _FIX)
+    if isinstance(given, Mapping) and "keypoints_scores" in given:
+        found = _torchvision(given, where)
+    elif hasattr(points, "xy") and hasattr(given, "orig_shape"):
+        found = _ultralytics(given, where)
+    elif hasattr(getattr(given, "pred_instances", None), "keypoint_scores"):
+        found = _mmpose(given.pred_instances, where)
+    elif isinstance(given, Mapping) and hasattr(given.get("instances"), "pred_keypoints"):
+        found = _detectron2(given["instances"], where)
+    elif hasattr(given, "pred_keypoints"):
+        found = _detectron2(given, where)
+    elif hasattr(given, "xy"):
+        found = _supervision(given, where)
+    else:
+        raise InvalidInputError(f"{where}keypoints", type(given).__name__, _FIX)
+    return _records(found, category, names)
 
 
-def _records(
-    found: tuple[Array, Array | None],
-    naming: tuple[Category, Names | None, str],
-    boxes: Array | None,
-    shared: Mapping[str, Any],
-) -> _Records:
-    """Instances from arrays.
+def _ultralytics(given: Any, where: str) -> _Found:
+    points, boxes, source = given.keypoints, getattr(given, "boxes", None), getattr(given, "path", None)
+    classes, kinds = getattr(boxes, "cls", None), getattr(given, "names", None) or {}
+    return _Found(
+        f"{where}keypoints",
+        _array(points.xy, f"{where}keypoints.xy"),
+        _optional(getattr(points, "conf", None), f"{where}conf"),
+        _optional(getattr(boxes, "xyxy", None), f"{where}boxes.xyxy"),
+        _optional(getattr(boxes, "conf", None), f"{where}boxes.conf"),
+        _optional(getattr(boxes, "id", None), f"{where}boxes.id"),
+        None if classes is None else [kinds.get(int(n), str(int(n))) for n in _array(classes, f"{where}boxes.cls")],
+        {"confidence_midpoint": PROBABLE} | ({"image": Path(source).name} if isinstance(source, str) else {}),
+    )
 
-    Args:
-        found: (N, P, 2) pixels, and (N, P) confidences or None.
-        naming: The category, the user's names, and the name of the pixels.
-        boxes: (N, 4) corners, or None.
-        shared: What every instance has.
-    """
-    points, confidence = found
-    category, names, field = naming
+
+def _supervision(given: Any, where: str) -> _Found:
+    trust = next((getattr(given, n) for n in ("keypoint_confidence", "confidence") if hasattr(given, n)), None)
+    kinds = (getattr(given, "data", None) or {}).get("class_name")
+    return _Found(
+        f"{where}xy",
+        _array(given.xy, f"{where}xy"),
+        _optional(trust, f"{where}confidence"),
+        scores=_optional(getattr(given, "detection_confidence", None), f"{where}detection_confidence"),
+        kinds=None if kinds is None else [str(kind) for kind in kinds],
+    )
+
+
+def _mmpose(given: Any, where: str) -> _Found:
+    return _Found(
+        f"{where}pred_instances.keypoints",
+        _array(given.keypoints, f"{where}pred_instances.keypoints"),
+        np.clip(_array(given.keypoint_scores, f"{where}pred_instances.keypoint_scores"), 0.0, 1.0),
+        _optional(getattr(given, "bboxes", None), f"{where}pred_instances.bboxes"),
+        _optional(getattr(given, "bbox_scores", None), f"{where}pred_instances.bbox_scores"),
+    )
+
+
+def _torchvision(given: Mapping[str, Any], where: str) -> _Found:
+    """Its third number is 1 for each point; its scores are heights of a heat map, taken for logarithms of odds."""
+    points = _array(given["keypoints"], f"{where}keypoints")
+    height = _array(given["keypoints_scores"], f"{where}keypoints_scores")
+    return _Found(
+        f"{where}keypoints",
+        points[..., :2],
+        1.0 / (1.0 + np.exp(-np.clip(height, -50.0, 50.0))),
+        _optional(given.get("boxes"), f"{where}boxes"),
+        _optional(given.get("scores"), f"{where}scores"),
+        shared={"confidence_midpoint": PROBABLE},
+    )
+
+
+def _detectron2(given: Any, where: str) -> _Found:
+    """Its third number is a pixel's share of the heat map: larger than 0, and small where that is broad."""
+    points = _array(given.pred_keypoints, f"{where}pred_keypoints")
+    boxes = getattr(given, "pred_boxes", None)
+    return _Found(
+        f"{where}pred_keypoints",
+        points[..., :2],
+        np.clip(points[..., 2], 0.0, 1.0),
+        _optional(getattr(boxes, "tensor", boxes), f"{where}pred_boxes"),
+        _optional(getattr(given, "scores", None), f"{where}scores"),
+        shared={"confidence_midpoint": _HEAT},
+    )
+
+
+def _records(found: _Found, category: Category, names: Names | None) -> _Records:
+    """Instances from arrays."""
+    points, confidence, field = found.points, found.confidence, found.field
     if points.ndim > 1 and points.size == 0:  # no vehicle
         return
     if points.ndim != 3 or points.shape[2] != 2:
         raise InvalidInputError(field, f"shape {points.shape}", "Give pixels (N, P, 2): N vehicles with P points each.")
+    count = len(points)
     for name, array, shape in (
         ("confidence", confidence, points.shape[:2]),
-        ("boxes.xyxy", boxes, (len(points), 4)),
+        ("boxes.xyxy", found.boxes, (count, 4)),
+        ("scores", found.scores, (count,)),
+        ("tracks", found.tracks, (count,)),
+        ("classes", None if found.kinds is None else np.array(found.kinds), (count,)),
     ):
         if array is not None and array.shape != shape:
-            raise InvalidInputError(name, f"shape {array.shape}", f"Give {shape}, as there are {len(points)} vehicles.")
+            raise InvalidInputError(name, f"shape {array.shape}", f"Give {shape}, as there are {count} vehicles.")
     order = order_of(points.shape[1], category, names, field)
     seen = np.isfinite(points).all(axis=2) & (points != 0).any(axis=2)
     if confidence is not None:
         seen &= confidence > 0
     for number, pixels in enumerate(points):
         rows = pixels if confidence is None else np.column_stack([pixels, confidence[number]])
-        keypoints = {
+        record: dict[str, Any] = {"id": number} | dict(found.shared or {})
+        record["keypoints"] = {
             name: row.tolist() for name, row, there in zip(order, rows, seen[number], strict=True) if name and there
         }
-        box = {} if boxes is None else {"box": boxes[number].tolist()}
-        yield {"id": number, "keypoints": keypoints, **box, **shared}, f"{field}[{number}]: "
+        if found.boxes is not None:
+            record["box"] = found.boxes[number].tolist()
+        if found.scores is not None and np.isfinite(found.scores[number]):
+            record["score"] = float(found.scores[number])
+        if found.tracks is not None and np.isfinite(found.tracks[number]):
+            record["track"] = int(found.tracks[number])
+        if found.kinds is not None:
+            record["kind"] = "_".join(found.kinds[number].split())
+        yield record, f"{field}[{number}]: "
 
 
 def _optional(value: Any, field: str) -> Array | None:

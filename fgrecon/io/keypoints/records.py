@@ -19,6 +19,7 @@ from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import refuse_results
 from fgrecon.io.keypoints.coco_records import annotation_records, is_annotations
 from fgrecon.io.keypoints.names import naming_of, scheme_keypoints
+from fgrecon.io.keypoints.network_records import network_instances
 from fgrecon.io.keypoints.pascal3d import read_anchors
 
 _CAMERA = ("K", "intrinsics", "distortion", "image_size")
@@ -43,6 +44,8 @@ def keypoint_records(path: Path, category: Category) -> list[Any]:
         return _frames(data, path)
     if is_annotations(data):
         return [record for record, _ in annotation_records(data, f"{path}: ")]
+    if (found := network_instances(data)) is not None:
+        return list(found)
     refuse_results(data, f"{path}: ")
     if not isinstance(data, Mapping) or "instances" not in data:
         return data if isinstance(data, list) else [data]
