@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.shape_prior import ShapePrior, Surface
     from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
     from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
+    from fgrecon.core.vehicle_class import VehicleClass
     from fgrecon.core.vehicle_estimate import VehicleEstimate
     from fgrecon.io.catalogue import load_calibration, load_category, load_prior, save_calibration, save_prior
     from fgrecon.io.images import read_image
@@ -86,6 +87,7 @@ __all__ = [
     "Surface",
     "TrackReconstruction",
     "Tracker",
+    "VehicleClass",
     "VehicleDetector",
     "VehicleEstimate",
     "Vehicles",

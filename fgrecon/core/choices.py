@@ -34,6 +34,21 @@ class TrafficSide(StrEnum):
     LEFT = "left"
 
 
+class ClassScheme(StrEnum):
+    """Whose names classes of vehicles have."""
+
+    FGRECON = "fgrecon"
+    KITTI = "kitti"
+    COCO = "coco"
+    """A van is a car, a truck or a bus there; how often was counted with the package's own vehicle detector."""
+    YOLO = "yolo"
+    """COCO's names."""
+    NUSCENES = "nuscenes"
+    """Those of its annotations and those of its detection task."""
+    OPENLABEL = "openlabel"
+    """Those of its ontology, with `Vehicle` before them or without."""
+
+
 class StrategyName(StrEnum):
     """The robust strategies by name; `fgrecon.core.robust` says what each does."""
 

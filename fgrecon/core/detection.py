@@ -15,6 +15,7 @@ from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation, as_directions
 from fgrecon.core.repr import brief_repr
+from fgrecon.core.vehicle_class import VehicleClass
 
 _SUREST = 1e-6
 _ROUNDED = 1e-3  # by how much probabilities may miss one
@@ -42,10 +43,11 @@ class Detection:
 
     @property
     def evidence(self) -> Observation:
-        """What a solver takes: the observation, which knows the directions as well."""
-        if self.azimuth is None or self.azimuth is self.observation.azimuth:
-            return self.observation
-        return replace(self.observation, azimuth=self.azimuth)
+        """What a solver takes: the observation, which knows directions and kinds as well."""
+        seen = self.observation
+        if self.kinds is not None:
+            seen = seen.with_evidence([VehicleClass(self.kinds)])
+        return seen if self.azimuth is None or self.azimuth is seen.azimuth else replace(seen, azimuth=self.azimuth)
 
     @property
     def front_probability(self) -> float | None:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_finite, as_shape, own
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import Evidence, as_evidence
 from fgrecon.core.repr import brief_repr
 
 _SUM = 1e-3
@@ -40,6 +41,7 @@ class Observation:
             0 ahead of the vehicle, pi / 2 to its left. It decides between poses that explain the keypoints alike. None
             where nobody says.
         left_out: Sentences that say what of it was not used, and why.
+        evidence: What is known of the vehicle beside its keypoints (`fgrecon.core.evidence`).
     """
 
     keypoints: NDArray[np.float64]
@@ -49,6 +51,7 @@ class Observation:
     confidence_midpoint: float = 0.2
     azimuth: NDArray[np.float64] | None = None
     left_out: tuple[str, ...] = ()
+    evidence: tuple[Evidence, ...] = ()
 
     __repr__ = brief_repr
 
@@ -93,6 +96,8 @@ class Observation:
             set_(self, "covariance", own(np.where(missing[:, None, None], np.eye(2), symmetric)))
         if self.azimuth is not None:
             set_(self, "azimuth", as_directions("azimuth", self.azimuth))
+        if self.evidence:
+            set_(self, "evidence", as_evidence(self.evidence))
 
     @classmethod
     def of(
@@ -136,6 +141,10 @@ class Observation:
         listed = ", ".join(name for name, out in zip(names, keypoints, strict=True) if out)
         left_out = (*self.left_out, f"{listed}: left out, {why}.")
         return replace(self, keypoints=np.where(keypoints[:, None], np.nan, self.keypoints), left_out=left_out)
+
+    def with_evidence(self, evidence: Sequence[Evidence]) -> Observation:
+        """The observation with more evidence of its vehicle."""
+        return replace(self, evidence=(*self.evidence, *evidence)) if evidence else self
 
     def undistorted(self, camera: Camera, names: Sequence[str]) -> Observation:
         """The observation freed of lens distortion.

@@ -1,8 +1,8 @@
-"""How large the vehicles of a fleet are: mean and spread of length, width and height."""
+"""How large vehicles are: mean and spread of length, width and height, of a fleet, a class, or a mix of classes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -34,6 +34,7 @@ class SizePrior:
             fleet.
         allowed: (3,) standard deviations that a solve allows, metres; None for `sigma`. Keypoints err together and
             count too much in a solve, so that less than the fleet's own may be best.
+        classes: Of vehicles that it is the sizes of; empty for a fleet's.
     """
 
     name: str
@@ -41,6 +42,7 @@ class SizePrior:
     sigma: NDArray[np.float64]
     traffic: NDArray[np.float64] | None = None
     allowed: NDArray[np.float64] | None = None
+    classes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -68,6 +70,11 @@ class SizePrior:
             object.__setattr__(self, "traffic", own(moment))
 
     @property
+    def larger(self) -> tuple[str, ...]:
+        """Classes of vehicles larger than cars and vans, whose shape no prior of these has."""
+        return tuple(one for one in self.classes if one not in _SMALL)
+
+    @property
     def assumed_sigma(self) -> NDArray[np.float64]:
         """(3,) standard deviations that a solve assumes, metres."""
         return self.sigma if self.allowed is None else self.allowed
@@ -89,6 +96,85 @@ def other_fleets(mean: NDArray[np.float64]) -> NDArray[np.float64]:
     correlation = _ALIKE + (1.0 - _ALIKE) * np.eye(3)
     spread: NDArray[np.float64] = correlation * np.outer(_FLEETS * mean, _FLEETS * mean)
     return spread
+
+
+CLASSES = ("car", "van", "lorry", "bus", "tram")
+"""Classes of vehicles whose sizes are known, from the smallest to the largest."""
+
+_SMALL = frozenset({"car", "van"})  # whose pictures do not tell which they are
+
+_HEIGHT_ALLOWED = 0.5  # of a class's spread of height, in a solve: as of the fleet `kitti`, on whose cars it was chosen
+
+
+@dataclass(frozen=True, eq=False)
+class ClassSizes:
+    """Sizes of vehicles by their class, and how classes of other programs are called.
+
+    Attributes:
+        name: Of the fleet that they were measured on.
+        mean: (3,) mean length, width and height of each class, metres.
+        covariance: (3, 3) of each class, square metres.
+        share: Of each class among all, where nobody says which it is.
+        schemes: Probability of each class by another program's name for it, by its scheme and the name in lower case.
+    """
+
+    name: str
+    mean: Mapping[str, NDArray[np.float64]]
+    covariance: Mapping[str, NDArray[np.float64]]
+    share: Mapping[str, float]
+    schemes: Mapping[str, Mapping[str, Mapping[str, float]]]
+
+    def probabilities(self, named: Mapping[str, float], scheme: str) -> dict[str, float]:
+        """Probability of each class where another program says with which probability a vehicle is what.
+
+        What is missing to one is shared out as the classes are among all.
+
+        Args:
+            named: Probabilities by the program's names, whatever their case.
+            scheme: Of these names.
+
+        Raises:
+            InvalidInputError: There is no such scheme, or a name is none of it.
+        """
+        if scheme not in self.schemes:
+            raise InvalidInputError("vehicle_class.scheme", scheme, f"Give one of {', '.join(self.schemes)}.")
+        known, found = self.schemes[scheme], dict.fromkeys(CLASSES, 0.0)
+        for name, probability in named.items():
+            if (classes := known.get(name.lower())) is None:
+                raise InvalidInputError("vehicle_class", name, f"Names of {scheme} are {', '.join(known)}.")
+            for one, share in classes.items():
+                found[one] += probability * share
+        left = max(0.0, 1.0 - sum(found.values()))
+        return {one: value + left * self.share[one] for one, value in found.items()}
+
+    def size(self, probabilities: Mapping[str, float], car: SizePrior | None, *, any_fleet: bool) -> SizePrior:
+        """The size of a vehicle that is of each class with a probability: mean and covariance of the mixture.
+
+        One Gaussian for classes of similar size is what leaves the least error in the mean where the image does not
+        tell them apart. Between cars and vans, and what is larger, it does: the more probable of the two counts alone.
+
+        Args:
+            probabilities: By class.
+            car: Sizes of cars, where they are given by others than these; None for these.
+            any_fleet: Whether the vehicle may be of any fleet: what they differ by is added.
+        """
+        means, covariances = dict(self.mean), dict(self.covariance)
+        if any_fleet:
+            covariances = {one: value + other_fleets(means[one]) for one, value in covariances.items()}
+        if car is not None:
+            means["car"], covariances["car"] = car.mean, car.spread
+        small = sum(p for one, p in probabilities.items() if one in _SMALL) >= 0.5 * sum(probabilities.values())
+        likely = {one: p for one, p in probabilities.items() if p > 0.0 and (one in _SMALL) == small}
+        total = sum(likely.values())
+        mean, covariance = np.zeros(3), np.zeros((3, 3))
+        for one, p in likely.items():
+            mean += p / total * means[one]
+        for one, p in likely.items():
+            covariance += p / total * (covariances[one] + np.outer(means[one] - mean, means[one] - mean))
+        sigma = np.sqrt(np.diag(covariance))
+        name = ", ".join(f"{one} {p / total:.2f}" if len(likely) > 1 else one for one, p in likely.items())
+        moment, allowed = (covariance + covariance.T) / 2.0, sigma * np.array([1.0, 1.0, _HEIGHT_ALLOWED])
+        return SizePrior(name, mean, sigma, moment, allowed, tuple(likely))
 
 
 SIZE_PRIORS = {

@@ -33,6 +33,7 @@ from fgrecon.core.checks import as_instance, as_path
 from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
+from fgrecon.core.size_prior import ClassSizes
 from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes, write_text
 from fgrecon.io.integrity import check_hash
@@ -83,6 +84,20 @@ def load_prior(source: ShapePrior | str | Path) -> ShapePrior:
     if isinstance(source, str) and source in shipped_priors():
         return _shipped_prior(source)
     return _prior_from_npz(str(source), _read(Path(source), "prior", shipped_priors()))
+
+
+@lru_cache
+def shipped_class_sizes() -> ClassSizes:
+    """The sizes of classes of vehicles that come with fgrecon (`data/sizes/kitti.md`)."""
+    data = _json("kitti.json", _folder("sizes").joinpath("kitti.json").read_bytes())
+    classes = data["classes"]
+    return ClassSizes(
+        name=data["name"],
+        mean={name: np.array(one["mean"]) for name, one in classes.items()},
+        covariance={name: np.array(one["covariance"]) for name, one in classes.items()},
+        share={name: float(one["share"]) for name, one in classes.items()},
+        schemes=data["schemes"],
+    )
 
 
 def save_prior(prior: ShapePrior, path: str | Path) -> Path:

@@ -111,4 +111,4 @@ def large_vehicles(image: NDArray[np.uint8], detector: VehicleDetector) -> Vehic
     """
     found = find_vehicles(detector, image)
     large = np.flatnonzero(large_enough(found.boxes))
-    return Vehicles(found.boxes[large], found.scores[large], tuple(found.kinds[i] for i in large if found.kinds))
+    return found.take(large)

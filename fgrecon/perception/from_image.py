@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.checks import as_finite, as_rows
+from fgrecon.core.checks import as_finite, as_list, as_rows
 from fgrecon.core.detection import Detection
-from fgrecon.core.errors import AssumedCameraWarning, FgreconError
+from fgrecon.core.errors import AssumedCameraWarning, FgreconError, InvalidInputError
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
+from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_photograph
-from fgrecon.perception.boxes import find_boxes, for_detected
+from fgrecon.perception.boxes import for_detected, large_vehicles
 from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find_keypoints
+from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.terms import direction_penalty as penalty_of
 from fgrecon.solve.scene import reconstruct_scene
@@ -145,6 +147,7 @@ def reconstruct_image(
     size_prior: SizesLike | None = None,
     options: Options | None = None,
     together: bool = True,
+    classes: Sequence[VehicleClass | None] | Literal["detected"] | None = None,
 ) -> list[FromImage]:
     """Pose and shape of the vehicles in an image.
 
@@ -163,6 +166,8 @@ def reconstruct_image(
         together: Whether the vehicles share one ground that is a variable (`fgrecon.reconstruct_scene`); else, and
             where the pose is not to move with the shape (`joint=False`), each is solved alone. Where the focal length
             is not known they are solved together in any case.
+        classes: Which class the vehicle in each box is of, which tells its size; or `detected` for what the vehicle
+            detector says. None where nobody says.
 
     Returns:
         The vehicles, in the order of the boxes; one that was refused has its error. Empty where there is none.
@@ -179,21 +184,39 @@ def reconstruct_image(
     pixels, from_exif = read_photograph(image) if isinstance(image, str | Path) else (as_rgb8(image), None)
     known = from_exif if camera is None else Camera.of(camera)
     sized = Camera.of_unknown(pixels.shape[1], pixels.shape[0]) if known is None else known.with_size_of(pixels)
-    corners = (
-        find_boxes(pixels, vehicle_detector)
-        if boxes is None
-        else as_finite("boxes", as_rows("boxes", boxes, 4), (None, 4))
-    )
-    if boxes is None and vehicle_detector is None:
-        options = for_detected(options)
+    if boxes is None:
+        found = large_vehicles(pixels, vehicle_detector or NanodetVehicleDetector())
+        corners, named = found.boxes, found.classes
+        options = for_detected(options) if vehicle_detector is None else options
+    else:
+        corners, named = as_finite("boxes", as_rows("boxes", boxes, 4), (None, 4)), ()
     networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
     detections = find_keypoints(networks, pixels, corners, shape_prior.category)
+    detections = _with_classes(detections, named if classes == "detected" else classes)
     how: dict[str, Any] = {"ground": ground, "size_prior": size_prior, "options": options, "together": together}
     vehicles = reconstruct_detections(detections, sized, prior=shape_prior, **how)
     estimated = next((one.camera for one in vehicles if one.result is not None), None)
     if known is None and estimated is not None:
         _warn_of_camera(estimated)
     return vehicles
+
+
+def _with_classes(detections: list[Detection], classes: Sequence[VehicleClass | None] | None) -> list[Detection]:
+    """Detections that know which class of vehicle each is.
+
+    Raises:
+        InvalidInputError: There is another number of classes.
+    """
+    if classes is None:
+        return detections
+    each = as_list("classes", classes, VehicleClass, gaps=True)
+    if len(each) != len(detections):
+        fix = "Give one for each box, or None; `detected` needs a vehicle detector that says."
+        raise InvalidInputError("classes", f"{len(each)} for {len(detections)} vehicles", fix)
+    return [
+        one if kind is None else replace(one, observation=one.observation.with_evidence([kind]), kinds=None)
+        for one, kind in zip(detections, each, strict=True)
+    ]
 
 
 def _warn_of_camera(estimated: Camera) -> None:

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.checks import as_finite, one_word, own
+from fgrecon.core.choices import ClassScheme
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.repr import brief_repr
+from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.integrity import check_hash, listed
 from fgrecon.io.isolated import Isolated
 from fgrecon.perception.keypoints.decode import sigmoid
@@ -22,6 +24,7 @@ from fgrecon.perception.keypoints.detect import as_rgb8
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session
 
 Array = NDArray[np.float64]
+Names = NDArray[np.intp]
 
 INPUT = "image"
 """Name of the network's input: (1, 3, H, W) RGB from 0 to 1, less a mean; H and W are multiples of 32, from 64."""
@@ -39,7 +42,10 @@ MEAN = (123.675, 116.28, 103.53)
 """Red, green and blue that it takes for nothing, from 0 to 255."""
 
 _NAME = "vehicles-nanodet-g.onnx"
-_CAR = 2
+VEHICLE_NAMES = ("car", "bus", "train", "truck")
+"""What COCO calls vehicles that are no two-wheelers, in its order; the network finds boxes of cars."""
+
+_CAR, *_OTHERS = 2, 5, 6, 7  # of COCO's classes, in the order of these names
 _MULTIPLE = 32
 _LEAST_SIDE = 64  # OpenCV 5.0 enlarges a map of one column to garbage
 
@@ -87,11 +93,13 @@ class Vehicles:
         boxes: (N, 4) x1, y1, x2, y2 of the cars' outlines, as far as they are in the image, pixels.
         scores: (N,) from 0 to 1; whether they are probabilities is said by what detected them.
         kinds: What each is, one word such as `Van`, which results of videos repeat; empty where that is not known.
+        classes: Which class each is of, as evidence of its size; empty where that is not known.
     """
 
     boxes: Array
     scores: Array
     kinds: tuple[str, ...] = ()
+    classes: tuple[VehicleClass, ...] = ()
 
     __repr__ = brief_repr
 
@@ -112,10 +120,19 @@ class Vehicles:
         if len(kinds) not in (0, len(boxes)):
             raise InvalidInputError("vehicles.kinds", f"{len(kinds)} for {len(boxes)} boxes", "Give one each, or none.")
         object.__setattr__(self, "kinds", kinds)
+        if len(self.classes) not in (0, len(boxes)):
+            raise InvalidInputError(
+                "vehicles.classes", f"{len(self.classes)} for {len(boxes)} boxes", "Give one each, or none."
+            )
 
     def __len__(self) -> int:
         """Number of cars."""
         return len(self.boxes)
+
+    def take(self, index: NDArray[np.intp]) -> Vehicles:
+        """Those at an index."""
+        each = (tuple(some[i] for i in index) if some else () for some in (self.kinds, self.classes))
+        return Vehicles(self.boxes[index], self.scores[index], *each)
 
 
 class NanodetVehicleDetector:
@@ -179,15 +196,15 @@ class NanodetVehicleDetector:
         pixels = as_rgb8(image)
         height, width = pixels.shape[:2]
         looks = [self._look(pixels, look, least) for look in SETTINGS.looks]
-        boxes = np.concatenate([boxes for boxes, _ in looks])
-        scores = np.concatenate([scores for _, scores in looks])
+        boxes, scores, names = (np.concatenate(each) for each in zip(*looks, strict=True))
         kept = suppress(boxes, scores, SETTINGS.max_overlap)
         inside = np.clip(boxes[kept], 0.0, [width - 1.0, height - 1.0] * 2)
         visible = (inside[:, 2:] > inside[:, :2]).all(axis=1)  # not beyond the border as a whole
-        return Vehicles(inside[visible], scores[kept][visible])
+        called = [VehicleClass(VEHICLE_NAMES[name], ClassScheme.COCO) for name in names[kept][visible]]
+        return Vehicles(inside[visible], scores[kept][visible], classes=tuple(called))
 
-    def _look(self, pixels: NDArray[np.uint8], look: Look, least_score: float) -> tuple[Array, Array]:
-        """Boxes (M, 4) in pixels of the image and scores (M,), from the image scaled to about the look's area."""
+    def _look(self, pixels: NDArray[np.uint8], look: Look, least_score: float) -> tuple[Array, Array, Names]:
+        """Boxes (M, 4) in pixels of the image, scores and names (M,), from the image scaled about to the area."""
         import cv2
 
         height, width = pixels.shape[:2]
@@ -195,15 +212,15 @@ class NanodetVehicleDetector:
         size = tuple(max(_LEAST_SIDE, _MULTIPLE * round(side * scale / _MULTIPLE)) for side in (width, height))
         scaled = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR)
         maps = self._network(cv2.dnn.blobFromImage(scaled, 1.0 / 255.0, mean=MEAN))
-        boxes, scores = decode(maps, size[0], least_score)
+        boxes, scores, names = decode(maps, size[0], least_score)
         boxes = boxes * np.tile([width / size[0], height / size[1]], 2) - 0.5  # pixel centres are at integers
         inside = np.clip(boxes, 0.0, [width, height] * 2)
         large = (inside[:, 2:] - inside[:, :2]).max(axis=1) >= look.min_side * max(width, height)
-        return boxes[large], scores[large]
+        return boxes[large], scores[large], names[large]
 
 
-def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float) -> tuple[Array, Array]:
-    """Boxes (M, 4) of cars and their scores (M,) from the network's raw maps, one car in many boxes.
+def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float) -> tuple[Array, Array, Names]:
+    """Boxes (M, 4) of cars, their scores and names (M,) from the network's raw maps, one car in many boxes.
 
     The distance of each edge from its cell's centre is the mean of a distribution over 0 to 10 cells. The class's
     number tells both, whether it is a car and how well the box fits; the score is a logistic regression on it.
@@ -214,9 +231,10 @@ def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float)
         least_score: Boxes below this are left out.
 
     Returns:
-        Boxes as x1, y1, x2, y2 in pixels of the input, its left and upper edge at 0.
+        Boxes as x1, y1, x2, y2 in pixels of the input, its left and upper edge at 0; and which of `VEHICLE_NAMES` is
+        the most probable there.
     """
-    boxes, scores = [], []
+    boxes, scores, names = [], [], []
     for numbers in maps:
         stride = width // numbers.shape[3]
         car = np.asarray(numbers[0, _CAR], dtype=np.float64)
@@ -228,7 +246,8 @@ def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float)
         centre = np.stack([column, row], axis=1) + 0.5
         boxes.append(stride * np.hstack([centre - left_up, centre + right_down]))
         scores.append(score[row, column])
-    return np.concatenate(boxes), np.concatenate(scores)
+        names.append(numbers[0, [_CAR, *_OTHERS]][:, row, column].argmax(axis=0))
+    return np.concatenate(boxes), np.concatenate(scores), np.concatenate(names)
 
 
 def _network_of(model: bytes, runtime: str) -> Network:

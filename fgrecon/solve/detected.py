@@ -57,7 +57,11 @@ class KnownBox:
         size = self.box.size
         if size is not None and not (size.min() >= SHORTEST and size.max() <= LONGEST):
             raise DegenerateProblemError("box3d.size", size.tolist(), f"Give metres: {SIZES}.")
-        own = setup.model if size is None else sized(self.unsized, SizePrior("its box", size, self.errors.size * size))
+        own = (
+            setup.model_of([seen])
+            if size is None
+            else sized(self.unsized, SizePrior("its box", size, self.errors.size * size))
+        )
         counted = replace(options, keypoints=replace(options.keypoints, common_factor=1.0))  # it is in the solve
         problem = Problem.of(
             replace(seen, covariance=SCENE.box_keypoint_inflation * covariance), camera, own, setup.ground, counted

@@ -96,8 +96,10 @@ def look_at_vehicles(
     refused: dict[int, FgreconError] = {}
     for name, observation in observations.items():
         try:
-            problem = Problem.of(observation, frame.camera, setup.model, ground, setup.options)
             track = tracks.get(name)
+            # A vehicle's shape is told from the mean of one model, so that of its first frame stays.
+            model_of = setup.model_of([observation]) if track is None else track.vehicle.past[-1].problem.model
+            problem = Problem.of(observation, frame.camera, model_of, ground, setup.options)
             if track is None:
                 updates[name] = first_observed(model, problem, frame.time)
             else:

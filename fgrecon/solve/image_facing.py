@@ -33,6 +33,7 @@ from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import FACING
+from fgrecon.solve.vehicle.model import VehicleModel
 
 Array = NDArray[np.float64]
 
@@ -72,7 +73,11 @@ def couple_facings(
 
 
 def single_pose(
-    observation: Observation, camera: Camera, setup: SolveSetup, initial: Box3D | float | None = None
+    observation: Observation,
+    camera: Camera,
+    setup: SolveSetup,
+    initial: Box3D | float | None = None,
+    model: VehicleModel | None = None,
 ) -> tuple[Problem, PoseEstimate]:
     """The pose stage of an observation whose neighbours are not known; see `estimate_pose`.
 
@@ -81,6 +86,7 @@ def single_pose(
         camera: The camera that took the image.
         setup: What holds for all vehicles of the call.
         initial: As `search_pose` takes it; where it is given, which way the vehicle faces is said already.
+        model: Of the vehicle; None for what its observation says.
 
     Raises:
         DegenerateProblemError: No pose is found.
@@ -88,7 +94,8 @@ def single_pose(
     coupled = observation
     if initial is None:
         (coupled,) = couple_facings([observation], camera, setup.prior, setup.options)
-    problem = Problem.of(coupled, camera, setup.model, setup.ground, setup.options)
+    model = setup.model_of([observation]) if model is None else model
+    problem = Problem.of(coupled, camera, model, setup.ground, setup.options)
     start = search_pose(problem, initial)
     return (problem, start) if coupled is observation else _agreeing(problem, start, observation)
 

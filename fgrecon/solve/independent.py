@@ -135,7 +135,8 @@ def solve_independently(
             if box is not None:  # which says itself which way it faces
                 solved[number] = _with_box(box.problem(observation, camera, setup), box)
                 continue
-            problem = Problem.of(coupled[number], camera, setup.model, setup.ground, setup.options)
+            model = setup.model_of([observation])
+            problem = Problem.of(coupled[number], camera, model, setup.ground, setup.options)
             problem, start = estimate_pose(problem, observation)
         except FgreconError as error:
             refused[number] = error

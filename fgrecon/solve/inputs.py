@@ -17,13 +17,15 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_instance, as_list, as_rigid, as_shape
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.input_warnings import InputWarning, input_warning_of, strays
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import SizesLike, check_order, size_prior
-from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.vehicle.model import VehicleModel, prepare
+from fgrecon.core.size_prior import CLASSES, SizePrior, SizesLike, check_order, other_fleets, size_prior
+from fgrecon.core.vehicle_class import VehicleClass
+from fgrecon.io.catalogue import load_prior, shipped_class_sizes
+from fgrecon.solve.vehicle.model import VehicleModel, prepare, sized
 
 if TYPE_CHECKING:
     import gtsam
@@ -45,12 +47,14 @@ class SolveSetup:
         prior: The shape prior as it is given.
         model: The prior prepared for the vehicles' sizes.
         ground: Ground plane, or None.
+        fleet: Sizes that are given for all vehicles, or None.
     """
 
     options: Options
     prior: ShapePrior
     model: VehicleModel
     ground: Ground | None = None
+    fleet: SizePrior | None = None
 
     @classmethod
     def of(
@@ -79,7 +83,45 @@ class SolveSetup:
         if fleet is not None:
             check_order("size_prior", fleet.mean, _usual_size(loaded))
         model = prepare(loaded, fleet, chosen.shape.basis_vectors)
-        return cls(chosen, loaded, model, as_ground(ground))
+        return cls(chosen, loaded, model, as_ground(ground), fleet)
+
+    def model_of(self, observations: Sequence[Observation]) -> VehicleModel:
+        """The prior prepared for a vehicle: for the class that its observations say it is of, else for all.
+
+        What several of them say is averaged: a detector takes a vehicle for the same in all its images.
+
+        Raises:
+            InvalidInputError: A class is none of its scheme.
+        """
+        said = [one for seen in observations for one in seen.evidence if isinstance(one, VehicleClass)]
+        if not said:
+            return self.model
+        sizes = shipped_class_sizes()
+        found = [sizes.probabilities(one.probabilities, one.scheme.value) for one in said]
+        share = {name: round(float(np.mean([one[name] for one in found])), 2) for name in CLASSES}
+        return _of_class(self.prior, self.fleet, self.options.shape.basis_vectors, tuple(share.items()))
+
+
+@lru_cache(maxsize=64)  # one object for one class, so that what is prepared for it is found again
+def _of_class(
+    prior: ShapePrior, fleet: SizePrior | None, basis_vectors: int | None, share: tuple[tuple[str, float], ...]
+) -> VehicleModel:
+    """The prior prepared for a vehicle of each class with a probability, in a fleet."""
+    sizes, probabilities = shipped_class_sizes(), dict(share)
+    of_sizes = fleet is not None and fleet.name == sizes.name
+    if fleet is None:
+        if probabilities["car"] == 1.0:
+            return prepare(prior, None, basis_vectors)
+        usual, spread = _usual_size(prior), prior.category.dimension_operator
+        basis = np.tensordot(spread, prior.basis, axes=((1, 2), (1, 2)))
+        moment = basis @ basis.T + other_fleets(usual)
+        car: SizePrior | None = SizePrior(prior.name, usual, np.sqrt(np.diag(moment)), moment)
+    else:
+        car = None if of_sizes else fleet
+    if car is fleet is not None and probabilities["car"] == 1.0:
+        return prepare(prior, fleet, basis_vectors)
+    size = sizes.size(probabilities, car, any_fleet=not of_sizes)
+    return sized(prepare(prior, None, basis_vectors), size)
 
 
 def _usual_size(prior: ShapePrior) -> Array:
@@ -103,6 +145,7 @@ def observe(
     confidence: ArrayLike | None = None,
     box: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
+    evidence: Sequence[Evidence] = (),
 ) -> Observed:
     """The observation that is solved from: checked against the category, and freed of lens distortion.
 
@@ -110,7 +153,7 @@ def observe(
         InvalidInputError: An array has the wrong shape or values, something is given twice, or the box is outside of
             the image.
     """
-    observation = given = _as_observation(keypoints, category, confidence, box, covariance)
+    observation = given = _as_observation(keypoints, category, confidence, box, covariance).with_evidence(evidence)
     if observation.box is not None and camera.image_size is not None:
         (left, top, right, bottom), (width, height) = observation.box, camera.image_size
         if right <= -0.5 or bottom <= -0.5 or left >= width - 0.5 or top >= height - 0.5:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.input_warnings import InputWarnings, warn_of
 from fgrecon.core.observation import KeypointsLike
 from fgrecon.core.options import Options
@@ -44,6 +45,7 @@ def reconstruct(
     initial: Box3D | float | None = None,
     options: Options | None = None,
     extra_factors: Sequence[gtsam.NonlinearFactor] = (),
+    evidence: Sequence[Evidence] = (),
 ) -> Reconstruction:
     """Recover the pose and the shape of one vehicle from its keypoints in one image.
 
@@ -64,6 +66,7 @@ def reconstruct(
         extra_factors: The caller's own factors on the pose X(0, 0), lambda L(0) and, with free offsets, O(0)
             (`factors.keys`; `factors.guarded_factor` makes one from a callback). They are in every solve of the graph,
             in the covariances and in the history as term `extra`, but not in the search for proposals.
+        evidence: What is known of the vehicle beside its keypoints, such as `fgrecon.VehicleClass("van")`.
 
     Returns:
         The reconstruction; its `status` tells how far to trust it.
@@ -79,7 +82,7 @@ def reconstruct(
     camera = calibrated("intrinsics", Camera.of(intrinsics, distortion))
     start, factors = as_initial(initial, setup.prior), as_extra_factors(extra_factors)
     given = {"confidence": confidence, "box": box, "covariance": covariance}
-    observed = observe(keypoints, camera, setup.prior.category, setup.options, **given)
+    observed = observe(keypoints, camera, setup.prior.category, setup.options, **given, evidence=evidence)
     if observed.warning is not None:
         warn_of(InputWarnings.of({"the vehicle": observed.warning}), stacklevel=3)
 

@@ -214,6 +214,8 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
             box_size,
             problem.ground,
         )
+        if problem.model.size is not None and (larger := problem.model.size.larger):
+            reasons = (*reasons, f"the shape of a {' or '.join(larger)} is a stretched {category.name}'s")
         excess = box_excess(problem, camera_T_object, coefficients, camera)
     sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(problem.observation, problem.options.keypoints))))
     with np.errstate(divide="ignore"):

@@ -129,6 +129,7 @@ def _posed(
     starts: list[PoseEstimate] = []
     refused: dict[int, str] = {}
     bad: InvalidInputError | None = None
+    model = setup.model_of([one for one in observations if isinstance(one, Observation)])
     for number, (given, camera) in enumerate(zip(observations, cameras, strict=True)):
         if given is None:
             refused[number] = "no keypoints"
@@ -136,7 +137,7 @@ def _posed(
         try:
             observation, doubt = observe(given, camera, setup.prior.category, setup.options)
             doubts.add(f"image {number}", doubt)
-            problem, start = single_pose(observation, camera, setup)
+            problem, start = single_pose(observation, camera, setup, model=model)
         except (DegenerateProblemError, InvalidInputError) as error:
             bad = error if bad is None and isinstance(error, InvalidInputError) else bad
             refused[number] = str(error)

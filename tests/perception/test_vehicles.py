@@ -145,7 +145,11 @@ def _sizes_seen(monkeypatch, image, looks, boxes):
     inputs = []
 
     def decode(maps, width, least_score):
-        return np.array(boxes)[:, :4] * np.tile(inputs[-1][::-1], 2), np.linspace(0.9, 0.8, len(boxes))
+        return (
+            np.array(boxes)[:, :4] * np.tile(inputs[-1][::-1], 2),
+            np.linspace(0.9, 0.8, len(boxes)),
+            np.arange(len(boxes)) % 4,
+        )
 
     monkeypatch.setattr(vehicles, "SETTINGS", DetectionSettings(looks, 0.5, 0.5))
     monkeypatch.setattr(vehicles, "decode", decode)
@@ -160,6 +164,8 @@ def test_each_look_has_its_area_and_its_size_of_boxes(sizes_seen):
     found, inputs = sizes_seen(image, (Look(928 * 288), Look(256 * 80, 0.4)), boxes)
     assert inputs == [(288, 928), (64, 256)]
     assert len(found) == 3  # what the second look sees again is suppressed
+    assert [[*one.probabilities] for one in found.classes] == [["car"], ["bus"], ["train"]]
+    assert [*found.take(np.array([2])).classes[0].probabilities] == ["train"]
     alone, inputs = sizes_seen(image, (Look(256 * 80, 0.4),), boxes)
     assert inputs == [(64, 256)]
     np.testing.assert_allclose(alone.boxes, np.array([boxes[2]]) * [1242, 375, 1242, 375] - 0.5)

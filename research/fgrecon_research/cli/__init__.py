@@ -17,6 +17,7 @@ from fgrecon_research.cli.paper.icra2017 import icra2017_command
 from fgrecon_research.cli.paper.marks import marks_command, models_command
 from fgrecon_research.cli.paper.paper import paper_command
 from fgrecon_research.cli.paper.shape import shape_command
+from fgrecon_research.cli.training.class_sizes import sizes_command
 from fgrecon_research.cli.training.keypoints import evaluate_command, silhouettes_command, train_command
 from fgrecon_research.cli.training.label import label_command
 from fgrecon_research.cli.training.prior_build import build_command, compare_command
@@ -45,7 +46,7 @@ COMMANDS: Mapping[str, Mapping[str, Callable[..., None]]] = {
         "silhouettes": silhouettes_command,
         "train": train_command,
     },
-    "prior": {"build": build_command, "compare": compare_command, "learn": learn_command},
+    "prior": {"build": build_command, "compare": compare_command, "learn": learn_command, "sizes": sizes_command},
     "vehicles": {"convert": convert_command},
 }
 """Each command, by its group and name."""
