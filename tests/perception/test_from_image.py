@@ -11,10 +11,17 @@ from fgrecon.core.metrics import orientation_error
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import rotation_y
+from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior
-from fgrecon.perception.from_image import direction_penalty, reconstruct_detection, reconstruct_detections
+from fgrecon.perception.from_image import (
+    direction_penalty,
+    reconstruct_detection,
+    reconstruct_detections,
+    reconstruct_image,
+)
 from fgrecon.perception.keypoints.crops import crop_of
 from fgrecon.perception.keypoints.detect import CascadeDetection
+from fgrecon.perception.vehicles import Vehicles
 from fgrecon.solve.track import reconstruct_track
 
 CAMERA = Camera.of([700.0, 700.0, 600.0, 180.0])
@@ -118,3 +125,30 @@ def test_a_vehicle_is_told_in_a_line():
     assert " ms" not in repr(found.result)
     refused = replace(found, result=None, error=InvalidInputError("box", 1, "Give another."))
     assert repr(refused).endswith(": refused, box: got 1. Give another.)")
+
+
+def test_classes_of_boxes_or_of_their_detector_tell_sizes():
+    poses = [pose_at(0.7), pose_at(2.0, (-4.0, 1.6, 20.0))]
+    found = [detection(pose, np.full(14, 0.9), azimuth_of(pose)).observation for pose in poses]
+
+    def keypoints(image, boxes):
+        return found
+
+    keypoints.category = "car14"
+    boxes, van, nothing = np.array([one.box for one in found]), VehicleClass("van"), np.zeros((375, 1242, 3), np.uint8)
+
+    def looking(classes):
+        return lambda image: Vehicles(boxes, np.ones(2), classes=classes)
+
+    def priors(**given):
+        vehicles = reconstruct_image(nothing, CAMERA, keypoint_detector=keypoints, options=FAST, **given)
+        return [one.result.shape.prior for one in vehicles]
+
+    assert priors(boxes=boxes, classes=[None, van]) == ["car14", "car14 of van"]
+    told = looking((van, VehicleClass("car")))
+    assert priors(vehicle_detector=told) == ["car14", "car14"]  # unless it is requested
+    assert priors(vehicle_detector=told, classes="detected") == ["car14 of van", "car14"]
+    with pytest.raises(InvalidInputError, match="0 for 2 vehicles"):
+        priors(vehicle_detector=looking(()), classes="detected")
+    with pytest.raises(InvalidInputError, match=r"vehicles\.classes.*1 for 2"):
+        Vehicles(boxes, np.ones(2), classes=(van,))

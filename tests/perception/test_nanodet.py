@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fgrecon.perception.vehicles import decode
+from fgrecon.perception.vehicles import VEHICLE_NAMES, decode
 
 NOTHING, SURE = -50.0, 50.0
 
@@ -27,7 +27,9 @@ def test_a_box_by_hand():
     cells = maps(1, 2)
     put(cells, 2, 0, 1, SURE, (1, 0, 2, 0))  # stride 32: the centre at 48, 16
     put(cells, 0, 1, 3, 0.0, (2, 1, 3, 10))  # stride 8: at 28, 12
-    boxes, scores = decode(cells, 64, 0.5)
+    cells[2][0, 7, 0, 1] = SURE + 1.0  # which looks more like a truck
+    boxes, scores, names = decode(cells, 64, 0.5)
+    assert [VEHICLE_NAMES[name] for name in names] == ["car", "truck"]
     np.testing.assert_allclose(boxes, [[28 - 16, 12 - 8, 28 + 24, 12 + 80], [48 - 32, 16, 48 + 64, 16]], atol=1e-9)
     np.testing.assert_allclose(scores, [1.0 / (1.0 + np.exp(-1.25)), 1.0])
     assert len(decode(cells, 64, 0.8)[0]) == 1
@@ -38,7 +40,7 @@ def test_a_distance_is_the_mean_of_its_distribution():
     cells[1][0, 2, 1, 0] = SURE
     cells[1][0, 80 + 11 + 3, 1, 0] = np.log(3.0) + SURE  # up: three quarters at 3 cells, a quarter at 7
     cells[1][0, 80 + 11 + 7, 1, 0] = SURE
-    ((x1, y1, x2, y2),), _ = decode(cells, 32, 0.5)
+    ((x1, y1, x2, y2),), *_ = decode(cells, 32, 0.5)
     assert (x1, x2, y2) == pytest.approx((8 - 5 * 16, 8 + 5 * 16, 24 + 5 * 16))  # the others are even: 5 cells
     assert y1 == pytest.approx(24 - 4 * 16)
 
@@ -54,6 +56,6 @@ def test_only_cars_count():
     cells = maps(1, 1)
     cells[0][0, 0] = SURE  # persons everywhere
     cells[1][0, 7] = SURE  # lorries
-    boxes, scores = decode(cells, 32, 0.01)
+    boxes, scores, _ = decode(cells, 32, 0.01)
     assert boxes.shape == (0, 4)
     assert scores.shape == (0,)
