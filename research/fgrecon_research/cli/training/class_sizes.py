@@ -23,7 +23,7 @@ def sizes_command(
 
     The drives are those with labels in which each vehicle is counted once.
     """
-    from fgrecon_research.training.priors.class_sizes import class_file
+    from fgrecon_research.annotation.class_sizes import class_file
 
     screen = terminal.screen()
     check_output(out)
