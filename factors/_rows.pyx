@@ -74,20 +74,24 @@ cdef class Source:
         return self.fill(at, &residual[0], &jacobian[0, 0])
 
 
-cdef class Itself(Source):
-    """r = x, of a vector (n,): what a prior about zero is about."""
+cdef class Change(Source):
+    """r = y - x of two vectors (n,), or r = x of one: what a random walk, or a prior about zero, is about."""
 
-    def __init__(self, int count):
-        """Bind the size."""
-        self.rows = count
-        self.take([(count, count, True)])
+    cdef bint walks
+
+    def __init__(self, int count, bint walks):
+        """Bind the size, and whether there are two."""
+        self.rows, self.walks = count, walks
+        self.take([(count, count, True)] * (2 if walks else 1))
 
     cdef double fill(self, const double **at, double *r, double *J) noexcept nogil:
         cdef int i
         for i in range(self.rows):
-            r[i] = at[0][i]
+            r[i] = at[1][i] - at[0][i] if self.walks else at[0][i]
             if J != NULL:
-                J[i * self.rows + i] = 1.0
+                J[i * self.columns + i] = -1.0 if self.walks else 1.0
+                if self.walks:
+                    J[i * self.columns + self.rows + i] = 1.0
         return NAN
 
 
@@ -431,7 +435,7 @@ cdef class _Place:
     """A source in a system: where its variables are, its noise, and the linear factor that it is added to."""
 
     cdef Source source
-    cdef int count, group, first  # of its variables; its linear factor; where its columns begin in `Rows.columns`
+    cdef int count, graphs, group, first  # of its variables; bits of graphs; linear factor; first of `Rows.columns`
     cdef int slots[8]  # where each variable is in `Rows.state`; -1 for one that there is not
     cdef const double[:, ::1] whitener
     cdef bint whitened
@@ -456,10 +460,10 @@ cdef class Rows:
 
         Args:
             variables: Numbers and dimension of each variable.
-            groups: Of each linear factor the indices of its variables.
-            places: Of each source: the source; the index of its linear factor; for each of its variables the index, a
-                constant (n,) or None for none; the whitener (rows, rows), upper triangular, or None where the rows are
-                whitened; GTSAM's robust estimator or None.
+            groups: Of each linear factor its columns, and where the variables begin in them, by index.
+            places: Of each source: the source; the bits of the graphs that it is in; the index of its linear factor; for each of its
+                variables the index, a constant (n,) or None for none; the whitener (rows, rows), upper triangular, or
+                None where the rows are whitened; GTSAM's robust estimator or None.
         """
         cdef _Place place
         cdef Source source
@@ -469,17 +473,14 @@ cdef class Rows:
         self.starts = np.cumsum([0, *sizes]).astype(np.intc)
         end = self.starts[len(sizes)]
         self.information, self.places = [], []
-        for group in groups:
-            begin, start = {}, 0
-            for i in group:
-                begin[i] = start
-                start += variables[i][1]
+        for width_of, begin in groups:
             begins.append(begin)
-            self.information.append(np.zeros((start + 1, start + 1)))
+            self.information.append(np.zeros((width_of + 1, width_of + 1)))
         columns = np.empty(sum([(<Source> each[0]).columns for each in places]) + 1, dtype=np.intc)
         self.columns = columns
-        for source, group, bound, whitener, robust in places:
+        for source, graphs, group, bound, whitener, robust in places:
             place = _Place()
+            place.graphs = graphs
             place.source, place.group, place.robust, place.count, place.first = source, group, robust, len(bound), total
             begin = begins[group]
             for i, (variable, (size, dim, needed)) in enumerate(zip(bound, source.takes, strict=True)):
@@ -532,20 +533,25 @@ cdef class Rows:
             for j in range(end - start):
                 self.state[start + j] = vector[j]
 
-    def error(self):
-        """Energy at the variables that were loaded, nats."""
+    def error(self, int graph):
+        """Energy of a graph (its bit) at the variables that were loaded, nats."""
+        cdef _Place place
         cdef double total = 0.0
         for place in self.places:
-            total += self.evaluated(place, False)
+            if place.graphs & graph:
+                total += self.evaluated(place, False)
         return total
 
-    def linearise(self):
-        """Energy at the variables that were loaded, nats, and `information`."""
+    def linearise(self, int graph):
+        """Energy of a graph at the variables that were loaded, nats, and `information`."""
+        cdef _Place place
+        cdef double[:, ::1] matrix
         cdef double total = 0.0
         for matrix in self.information:
-            matrix[:] = 0.0
+            memset(&matrix[0, 0], 0, matrix.shape[0] * matrix.shape[1] * sizeof(double))
         for place in self.places:
-            total += self.evaluated(place, True)
+            if place.graphs & graph:
+                total += self.evaluated(place, True)
         return total
 
     def judge(self, looks):

@@ -40,19 +40,36 @@ class CompiledRows:
         source: What has them, a `factors._rows.Source`.
         variables: Of each variable that it takes the key, or its value where it is a constant, or None where there is
             none.
+        whitener: (rows, rows) upper triangular, by which a noise model whitens them; None where they are whitened.
+        robust: GTSAM's estimator that weighs them; None for none.
     """
 
     source: Any
     variables: tuple[int | NDArray[np.float64] | None, ...]
+    whitener: NDArray[np.float64] | None = None
+    robust: Any = None
+
+    @property
+    def keys(self) -> tuple[int, ...]:
+        """Keys of its variables."""
+        return tuple([variable for variable in self.variables if isinstance(variable, int)])
+
+    def with_noise(self, model: Any) -> CompiledRows:
+        """The rows with a noise model: Gaussian, or robust around such a one."""
+        robust = None
+        if isinstance(model, gtsam.noiseModel.Robust):
+            robust, model = model.robust(), model.noise()
+        whitener = None if model.isUnit() else np.ascontiguousarray(model.R())
+        return CompiledRows(self.source, self.variables, whitener, robust)
 
 
 class CompiledFactor(gtsam.CustomFactor):
     """A factor that is compiled as well: `factors.system` linearises it without its callback."""
 
     def __init__(self, noise: Any, keys: Sequence[int], callback: Any, compiled: CompiledRows) -> None:
-        """Make the factor."""
+        """Make the factor of rows before the noise model whitens them."""
         super().__init__(noise, keys, callback)
-        self.compiled = compiled
+        self.compiled = compiled.with_noise(noise)
 
 
 _FLOAT = np.dtype(np.float64)

@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
-from factors.guard import CompiledRows
 from factors.keys import S
+from factors.linear import ZeroPrior
 from factors.marginals import Marginal, marginal_factor
-from factors.native import native
 from factors.noise import diagonal_noise
 from factors.shape_factor import ShapeContext, ShapeTerm
 
@@ -79,19 +78,9 @@ def coefficients_prior(coefficients_key: int, dimension: int, sigma: float = 1.0
     return _zero_prior(coefficients_key, np.full(dimension, sigma))
 
 
-class _ZeroPrior(gtsam.PriorFactorVector):
-    """N(0, ...) of a vector, which is compiled as well."""
-
-    def __init__(self, key: int, noise: gtsam.noiseModel.Gaussian) -> None:
-        """Make the factor."""
-        count, kernel = noise.dim(), native("factors._rows")
-        super().__init__(key, np.zeros(count), noise)
-        self.compiled = None if kernel is None else CompiledRows(kernel.Itself(count), (key,))
-
-
 def spread_prior(key: int, covariance: Array) -> gtsam.PriorFactorVector:
     """N(0, covariance) of a vector."""
-    return _ZeroPrior(key, gtsam.noiseModel.Gaussian.Covariance(covariance))
+    return ZeroPrior(key, gtsam.noiseModel.Gaussian.Covariance(covariance))
 
 
 def offsets_prior(offsets_key: int, sigmas: ArrayLike) -> gtsam.PriorFactorVector:
@@ -118,4 +107,4 @@ def _about_fleet(key: int, by_size: Array) -> gtsam.CustomFactor:
 
 
 def _zero_prior(key: int, sigmas: ArrayLike) -> gtsam.PriorFactorVector:
-    return _ZeroPrior(key, diagonal_noise("sigma", sigmas))
+    return ZeroPrior(key, diagonal_noise("sigma", sigmas))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from factors.contact import GroundFrame, contact_factor
 from factors.keys import G, X
+from factors.linear import ZeroPrior
 from factors.losses import Loss, RobustLoss
 from factors.noise import diagonal_noise
 from fgrecon.core.camera import Ground
@@ -58,7 +59,7 @@ class ImageGround:
     @property
     def prior(self) -> gtsam.PriorFactorVector:
         """What is known of the ground before the vehicles say more."""
-        return gtsam.PriorFactorVector(self.key, np.zeros(3), diagonal_noise("ground", self.spread))
+        return ZeroPrior(self.key, diagonal_noise("ground", self.spread))
 
     def ground(self, values: gtsam.Values) -> Ground | None:
         """The ground at some values; None where that is none."""

@@ -30,7 +30,7 @@ from fgrecon.core.result_fields import Regions
 from fgrecon.core.size_prior import LONGEST, SHORTEST
 from fgrecon.core.text import counted
 from fgrecon.solve.box_check import box_excess
-from fgrecon.solve.graph.covariance import Covariances, Spread, factorise, read_covariances
+from fgrecon.solve.graph.covariance import Covariances, Spread, marginals_of, read_covariances
 from fgrecon.solve.graph.graph import Graph, GraphObservation
 from fgrecon.solve.graph.multi_start import MultiStartResult
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
@@ -74,12 +74,12 @@ def marginalise(graph: Graph, optimum: Optimum, at_once: Collection[int] | None 
     weights = [_common(part, w) for part, w in zip(graph.observations, optimum.state.weights, strict=True)]
     if optimum.failure is not None:
         return Marginalised(values, weights, None)
-    built = graph.for_covariances(weights)
-    if at_once is None:
-        return Marginalised(values, weights, factorise(built, values))
-    keys = {part.pose_key for i, part in enumerate(graph.observations) if part.pose_key is not None and i in at_once}
-    keys |= {key for vehicle in graph.vehicles.values() for key in vehicle.shape.keys}
-    return Marginalised(values, weights, Spread.of(built, values, keys))
+    keys: set[int] | None = None
+    if at_once is not None:
+        parts = [part for i, part in enumerate(graph.observations) if i in at_once]
+        keys = {part.pose_key for part in parts if part.pose_key is not None}
+        keys |= {key for vehicle in graph.vehicles.values() for key in vehicle.shape.keys}
+    return Marginalised(values, weights, marginals_of(graph, values, weights, keys))
 
 
 def _common(part: ObservationPart, weights: Weights) -> Weights:

@@ -22,6 +22,7 @@ from factors import (
     offsets_prior,
 )
 from factors.contact import GroundFrame
+from factors.linear import Walk, ZeroPrior
 from factors.motion import moved
 from factors.native import native
 from factors.noise import full_noise
@@ -62,31 +63,55 @@ def case(seed, apart=0.1):
         coefficients_prior(L(), 4),
         spread_prior(V(0, 1), spread(rng, 3).covariance()),
         offsets_prior(O(), [0.1, 0.2, 0.3]),
-        gtsam.BetweenFactorVector(V(0, 0), V(0, 1), np.zeros(3), spread(rng, 3)),
+        gtsam.BetweenFactorVector(V(0, 0), V(0, 1), np.ones(3), spread(rng, 3)),
+        Walk(V(0, 0), V(0, 1), spread(rng, 3)),
+        ZeroPrior(V(0, 0), RobustLoss.of(Loss.CAUCHY, 0.5).wrap(spread(rng, 3))),
         gtsam.PriorFactorVector(G(), np.ones(3), spread(rng, 3)),
     ]
     return factors, values
 
 
+@pytest.fixture(params=[True, False], ids=["dense", "sparse"])
+def dense(request, monkeypatch):
+    if not request.param:
+        monkeypatch.setattr("factors.system._DENSE", 0)
+    return request.param
+
+
 @pytest.mark.parametrize("apart", [0.0, 1e-8, 1e-3, 0.1, 0.6])
-def test_the_linear_graph_and_the_energy_are_gtsams(apart):
+@pytest.mark.usefixtures("dense")
+def test_information_step_and_energy_are_gtsams(apart):
     for seed in range(5):
         factors, values = case(seed, apart)
-        graph, system = graph_of(*factors), System(factors)
+        graph, system = graph_of(*factors), System(factors, values)
         ordering = gtsam.Ordering()
         for key in values.keys():  # noqa: SIM118  # a key vector
             ordering.push_back(key)
-        linear, energy = system.linearise(values)
-        for mine, theirs in zip(linear.hessian(ordering), graph.linearize(values).hessian(ordering), strict=True):
-            np.testing.assert_allclose(mine, theirs, atol=1e-11 * np.abs(theirs).max())
-        assert energy + system.others_error(values) == pytest.approx(graph.error(values), rel=1e-11)
+        linear = graph.linearize(values)
+        theirs = linear.hessian(ordering)[0]
+        np.testing.assert_allclose(system.information(values), theirs, atol=1e-11 * np.abs(theirs).max())
+        step, energy = system.step(values)
+        solution = linear.optimize()
+        np.testing.assert_allclose(step, solution.vector(), rtol=1e-5, atol=1e-7 * np.abs(step).max())
+        assert energy + system.rest_error(values) == pytest.approx(graph.error(values), rel=1e-11)
         assert system.error(values) == pytest.approx(graph.error(values), rel=1e-11)
-        after = values.retract(linear.optimize())
+        after = system.moved(values, solution.vector())
+        assert after.equals(values.retract(solution), 1e-12)
         assert system.error(after) == pytest.approx(graph.error(after), rel=1e-11)
 
 
+@pytest.mark.usefixtures("dense")
+def test_another_graph_of_the_same_variables_has_its_own_factors():
+    factors, values = case(2)
+    others = [*factors[:5], coefficients_prior(L(), 4, 0.3), offsets_prior(O(), [0.2, 0.2, 0.2])]
+    system = System(factors, values, others)
+    for second, some in ((True, others), (False, factors)):
+        alone = System(some, values).information(values)
+        np.testing.assert_allclose(system.information(values, second=second), alone, rtol=1e-12, atol=1e-9)
+
+
 @compiled
-def test_nothing_that_is_compiled_calls_python(monkeypatch):
+def test_nothing_that_is_compiled_calls_python(dense, monkeypatch):
     """Of the factors above only GTSAM's own are not compiled, and one of the caller's own is called back."""
     factors, values = case(0)
     calls = []
@@ -95,37 +120,39 @@ def test_nothing_that_is_compiled_calls_python(monkeypatch):
         calls.append(want_jacobian)
         return values.atVector(L()), np.eye(4) if want_jacobian else None
 
-    system = System([*factors, guarded_factor("mine", 1.0, [L()], [4], 4, callback)])
+    system = System([*factors, guarded_factor("mine", 1.0, [L()], [4], 4, callback)], values)
     for name in ("factors.motion._Motion", "factors.motion._Drive", "factors.contact._Contact"):
         monkeypatch.delattr(f"{name}.__call__")
     linear, _ = system.linearise(values)
     assert np.isfinite(system.error(values))
     assert calls == [True, False]
     kinds = [type(linear.at(i)).__name__ for i in range(linear.size())]
-    assert kinds.count("JacobianFactor") == 3  # a random walk, a prior on the ground, the caller's own
-    assert kinds.count("HessianFactor") == 6  # two of motion, two contacts, lambda and offsets: the others are in those
+    # A walk to elsewhere, a prior on the ground and the caller's own are not; two are of motion, two are contacts.
+    assert (kinds.count("JacobianFactor"), kinds.count("HessianFactor")) == ((0, 1) if dense else (3, 7))
 
 
 @compiled
-def test_factors_of_the_same_variables_are_one():
+def test_factors_of_the_same_variables_are_one(monkeypatch):
+    monkeypatch.setattr("factors.system._DENSE", 0)
     noise = gtsam.noiseModel.Unit.Create(3)
     motion = motion_factor(X(0, 0), V(0, 0), X(0, 1), 0.1, 1.0)
     _, values = case(1)
-    linear, _ = System([drive_factor(V(0, 0), noise), motion, drive_factor(V(0, 0), 0.3, 4.0)]).linearise(values)
+    factors = [drive_factor(V(0, 0), noise), motion, drive_factor(V(0, 0), 0.3, 4.0)]
+    linear, _ = System(factors, values).linearise(values)
     assert linear.size() == 1
     assert sorted(linear.at(0).keys()) == sorted(motion.keys())
 
 
 @compiled
 def test_what_does_not_fit_is_refused_at_the_border():
-    drive = KERNEL.Drive(np.nan, 1.0)
+    drive, group = KERNEL.Drive(np.nan, 1.0), [(3, {0: 0})]
     with pytest.raises(ValueError, match="3 numbers"):
-        KERNEL.Rows([(4, 4)], [[0]], [(drive, 0, (0,), None, None)])
+        KERNEL.Rows([(4, 4)], [(4, {0: 0})], [(drive, 1, 0, (0,), None, None)])
     with pytest.raises(ValueError, match="missing"):
-        KERNEL.Rows([(3, 3)], [[0]], [(drive, 0, (None,), None, None)])
+        KERNEL.Rows([(3, 3)], group, [(drive, 1, 0, (None,), None, None)])
     with pytest.raises(ValueError, match="whitener"):
-        KERNEL.Rows([(3, 3)], [[0]], [(drive, 0, (0,), np.eye(4), None)])
-    rows = KERNEL.Rows([(3, 3)], [[0]], [(drive, 0, (0,), np.eye(3), None)])
+        KERNEL.Rows([(3, 3)], group, [(drive, 1, 0, (0,), np.eye(4), None)])
+    rows = KERNEL.Rows([(3, 3)], group, [(drive, 1, 0, (0,), np.eye(3), None)])
     with pytest.raises(ValueError, match="another size"):
         rows.load([np.zeros(2)])
     with pytest.raises(ValueError, match="directions"):

@@ -53,15 +53,18 @@ def test_they_are_in_every_solve(settings, monkeypatch):
     """However often the weights change; the paper's solve at the fixed pose has no place for a factor on the pose."""
     problem, start = problem_of(1, **settings)
     graphs = []
-    original = Graph.build
 
-    def watched(self, *arguments):
-        graph = original(self, *arguments)
-        free = self.observations[0].pose_key is not None
-        graphs.append((free, [type(graph.at(i)) for i in range(graph.size())]))
-        return graph
+    def watched(original):
+        def watch(self, *arguments):
+            free = self.observations[0].pose_key is not None
+            kinds = [next(c for c in type(f).mro() if c.__module__ == "gtsam.gtsam") for f in [*self._own, *self.extra]]
+            graphs.append((free, kinds))
+            return original(self, *arguments)
 
-    monkeypatch.setattr(Graph, "build", watched)
+        return watch
+
+    for name in ("build", "step"):
+        monkeypatch.setattr(Graph, name, watched(getattr(Graph, name)))
     pose = gtsam.PriorFactorPose3(X(0, 0), gtsam.Pose3(start.camera_T_object), isotropic(6, 0.1))
     solve(problem, start)
     (own,) = {kinds.count(gtsam.PriorFactorVector) for _, kinds in graphs}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.keys import decode_key
-from factors.mixture import Form
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.graph import Graph
 from fgrecon.solve.graph.graph_settings import SETTINGS
@@ -50,33 +49,39 @@ class Spread:
 
     @classmethod
     def of(
-        cls, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, selected: Collection[int] | None = None
+        cls, information: Array, every: Mapping[int, slice], selected: Collection[int] | None = None
     ) -> Spread | None:
-        """That of variables of a graph at its minimum, None for all; None where it does not determine its variables."""
-        keys = list(values.keys())
-        if selected is not None:
-            keys.sort(key=lambda key: key in selected)  # the last rows of a triangular factor are the marginal's
-        dims, ordering, places, start, cut = values.zeroVectors(), gtsam.Ordering(), {}, 0, 0
+        """That of a graph's variables; None where it does not determine them.
+
+        Args:
+            information: (D, D) of all variables.
+            every: Where they are there, by key.
+            selected: Keys of those that are needed; None for all.
+        """
+        from scipy.linalg import lapack  # on use: the search has loaded it
+
+        keys, cut = list(every), 0
+        if selected is not None:  # last: the last rows of a triangular factor are the marginal's
+            keys.sort(key=lambda key: key in selected)
+            cut = sum(every[key].stop - every[key].start for key in keys if key not in selected)
+            order = np.concatenate([np.arange(every[key].start, every[key].stop) for key in keys])
+            information = information[order[:, None], order]
+        places, start = {}, 0
         for key in keys:
-            ordering.push_back(key)
-            end = start + len(dims.at(key))
-            if selected is None or key in selected:
-                places[key] = np.arange(start - cut, end - cut)
-            else:
-                cut = end
+            end = start + every[key].stop - every[key].start
+            places[key] = np.arange(start - cut, end - cut)
             start = end
-        information, _ = graph.linearize(values).hessian(ordering)
         scale = np.sqrt(np.diag(information))
         if not (np.isfinite(scale) & (scale > 0.0)).all():
             return None
-        try:
-            root = np.linalg.cholesky(information / np.outer(scale, scale))
-        except np.linalg.LinAlgError:
+        root, failed = lapack.dpotrf(information / np.outer(scale, scale), lower=1)
+        if failed or not np.diag(root).min(initial=1.0) ** 2 > SETTINGS.undetermined_share:
             return None
-        if not np.diag(root).min(initial=1.0) ** 2 > SETTINGS.undetermined_share:
-            return None
-        half = np.linalg.inv(root[cut:, cut:]) / scale[cut:]
-        return cls(places, half.T @ half)
+        inverse, _ = lapack.dpotri(root[cut:, cut:], lower=1)
+        inverse += inverse.T  # it is a lower triangle
+        inverse[np.diag_indices_from(inverse)] /= 2.0
+        kept = {key: places[key] for key in keys if selected is None or key in selected}
+        return cls(kept, inverse / np.outer(scale[cut:], scale[cut:]))
 
     def joint(self, keys: Sequence[int]) -> Array:
         """Of several variables, in the order of their keys."""
@@ -85,12 +90,30 @@ class Spread:
         return joint
 
 
-def factorise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Marginals | None:
-    """The marginals of a graph at its minimum; None where it does not determine its variables."""
+def marginals_of(
+    graph: Graph,
+    values: gtsam.Values,
+    weights: Sequence[Weights],
+    selected: Collection[int] | None = None,
+    *,
+    counted_once: bool = True,
+) -> gtsam.Marginals | Spread | None:
+    """What is known of a graph's variables at its minimum; None where it does not determine them.
+
+    Args:
+        graph: The graph.
+        values: Its minimum.
+        weights: Weights of each observation there.
+        selected: Keys of the variables that are needed by one factorisation; None for all, of a large graph by
+            `gtsam.Marginals`.
+        counted_once: Whether sizes are (`Graph.for_covariances`).
+    """
+    system = graph.weighted(values, weights)
+    if selected is not None or system.is_one:
+        return Spread.of(system.information(values, second=counted_once), system.places, selected)
+    linear, _ = system.linearise(values, second=counted_once)
     try:
-        return gtsam.Marginals(graph, values)
-    except FactorCallbackError:
-        raise
+        return gtsam.Marginals(linear, values)
     except RuntimeError:  # GTSAM's only sign of an indeterminate system
         return None
 
@@ -187,7 +210,9 @@ def read_covariances(
     return Covariances(pose, lambdas, keypoints, by_variables @ variables @ by_variables.T)
 
 
-def projected_covariances(part: ObservationPart, values: gtsam.Values, marginals: gtsam.Marginals) -> Array | None:
+def projected_covariances(
+    part: ObservationPart, values: gtsam.Values, marginals: gtsam.Marginals | Spread
+) -> Array | None:
     """(K, 2, 2) covariances of an observation's projected keypoints, pose and shape together, square pixels.
 
     What pose and shape are unsure of is not independent: an image that leaves open which of them moves a keypoint may
@@ -202,7 +227,7 @@ def projected_covariances(part: ObservationPart, values: gtsam.Values, marginals
         The covariances; None where they are not finite or cannot be had.
     """
     try:
-        joint = joint_covariance(marginals, list(part.kernel.keys))
+        joint = joint_covariance(marginals, list(part.keys))
     except FactorCallbackError:
         raise
     except RuntimeError:  # GTSAM's only sign of an indeterminate system
@@ -219,13 +244,8 @@ def _given_shape(part: ObservationPart, weights: Weights, values: gtsam.Values, 
     What the graph leaves out of the image is added to the pose's information and to its dependence on the shape;
     factors of the caller's own, and through them other poses, are in the joint covariance.
     """
-    assert part.factor is not None
-    part.tell(weights, Form.WEIGHTED)
-    linear, ordering = gtsam.GaussianFactorGraph(), gtsam.Ordering()
-    linear.push_back(part.factor.linearize(values))
-    for key in part.kernel.keys:  # the pose first
-        ordering.push_back(key)
-    left_out = (1.0 - part.share) / part.share * linear.hessian(ordering)[0]
+    jacobian = part.jacobian(values, weights)
+    left_out = (1.0 - part.share) / part.share * (jacobian.T @ jacobian)
     shape = joint[6:, 6:]
     by_shape = np.linalg.solve(shape, joint[6:, :6]).T
     information = np.linalg.inv(joint[:6, :6] - by_shape @ joint[6:, :6])

@@ -7,6 +7,7 @@ variables: X(v, t), L(v), O(v) of `factors.keys`, vehicles and images numbered f
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -106,6 +107,7 @@ class Graph:
         """
         self.options: Options = observations[0].problem.options
         self._told: tuple[Sequence[Weights], Form] | None = None  # what the rows have
+        self._system: System | None = None
         self.vehicles: dict[int, VehiclePart] = {}
         self.observations: list[ObservationPart] = []
         counts = Counter(one.vehicle for one in observations)
@@ -176,8 +178,9 @@ class Graph:
         Raises:
             DegenerateProblemError: There are some.
         """
-        for part in self.observations:
-            check_in_front(part.kernel, values)
+        if not (self._judges and math.isfinite(self.error(values))):
+            for part in self.observations:
+                check_in_front(part.kernel, values)
 
     @property
     def is_robust(self) -> bool:
@@ -210,7 +213,7 @@ class Graph:
             ]
         form = Form.NEWTON if self._told is None else self._told[1]
         self._tell(before, form)
-        found = self._system.judge(values, looks)
+        found = self.system(values).judge(values, looks)
         weights = [
             part.judged(one, None if look else w)
             for part, one, look, w in zip(self.observations, found, looks, before, strict=True)
@@ -218,15 +221,25 @@ class Graph:
         self._told = weights, form
         return weights
 
-    @cached_property
-    def _factors(self) -> list[gtsam.NonlinearFactor]:
-        """All factors, as the solver gets them."""
-        own = [factor for vehicle in self.vehicles.values() for factor in vehicle.solved]
-        return [*(part.factor for part in self.observations if part.factor is not None), *own, *self.extra]
+    @property
+    def _observed(self) -> list[gtsam.NonlinearFactor]:
+        return [part.factor for part in self.observations if part.factor is not None]
 
-    @cached_property
-    def _system(self) -> System:
-        return System(self._factors)
+    @property
+    def _own(self) -> list[gtsam.NonlinearFactor]:
+        return [factor for vehicle in self.vehicles.values() for factor in vehicle.solved]
+
+    @property
+    def _counted_once(self) -> list[gtsam.NonlinearFactor]:
+        return [factor for vehicle in self.vehicles.values() for factor in vehicle.counted_once]
+
+    def system(self, values: gtsam.Values) -> System:
+        """All factors of its variables, and as the other graph those with sizes counted once; made once."""
+        if self._system is None:
+            observed = [part.compiled or part.factor for part in self.observations if part.keys]
+            both = [*observed, *self.extra]
+            self._system = System([*both, *self._own], values, [*both, *self._counted_once])
+        return self._system
 
     @cached_property
     def _judges(self) -> bool:
@@ -243,26 +256,28 @@ class Graph:
                 part.tell(weight, form)
         self._told = weights, form
 
-    def linearise(
-        self, values: gtsam.Values, weights: Sequence[Weights], form: Form
-    ) -> tuple[gtsam.GaussianFactorGraph, Callable[[], float]]:
-        """The linear graph at values, and what tells their energy as `error` has it, nats.
+    def step(self, values: gtsam.Values, weights: Sequence[Weights], form: Form) -> tuple[Array, Callable[[], float]]:
+        """The step of `System` at values, and what tells their energy as `error` has it, nats.
 
         Args:
             values: Where.
             weights: Weights of each observation.
             form: How a mixture is handed to the solver: with these weights, or with its loss and curvature.
+
+        Raises:
+            RuntimeError: GTSAM's only sign of a direction that nothing determines.
         """
         self._tell(weights, form)
-        linear, compiled = self._system.linearise(values)
-        return linear, lambda: compiled + self._system.others_error(values)
+        system = self.system(values)
+        step, compiled = system.step(values)
+        return step, lambda: compiled + system.rest_error(values)
 
     def error(self, values: gtsam.Values) -> float:
         """Energy of all factors with the weights that were set last, nats: what a step is judged by.
 
         It differs from the sum of the terms' by what does not change as long as visibility does not.
         """
-        return self._system.error(values)
+        return self.system(values).error(values)
 
     def build(self, weights: Sequence[Weights], form: Form = Form.WEIGHTED) -> gtsam.NonlinearFactorGraph:
         """All factors as GTSAM has them, with these weights until others are set.
@@ -271,7 +286,7 @@ class Graph:
             weights: Weights of each observation.
             form: How a mixture is handed to the solver: with these weights, or with its loss and curvature.
         """
-        return self._built(self._factors, weights, form)
+        return self._built([*self._observed, *self._own, *self.extra], weights, form)
 
     def _built(
         self, factors: Iterable[gtsam.NonlinearFactor], weights: Sequence[Weights], form: Form
@@ -286,9 +301,14 @@ class Graph:
 
     def for_covariances(self, weights: Sequence[Weights]) -> gtsam.NonlinearFactorGraph:
         """All factors with these weights, sizes counted once (`VehiclePart.counted_once`)."""
-        once = [factor for vehicle in self.vehicles.values() for factor in vehicle.counted_once]
-        observed = [part.factor for part in self.observations if part.factor is not None]
-        return self._built([*observed, *once, *self.extra], weights, Form.WEIGHTED)
+        return self._built([*self._observed, *self._counted_once, *self.extra], weights, Form.WEIGHTED)
+
+    def weighted(self, values: gtsam.Values, weights: Sequence[Weights]) -> System:
+        """The factors with these weights until others are set; the other graph is that of `for_covariances`."""
+        self._told = None
+        for part, weight in zip(self.observations, weights, strict=True):
+            part.tell(weight, Form.WEIGHTED)
+        return self.system(values)
 
     def terms(self, weights: Sequence[Weights]) -> Iterator[tuple[str, list[gtsam.NonlinearFactor]]]:
         """Name and factors of each term, observation by observation, then vehicle by vehicle, then the extra ones."""

@@ -77,8 +77,6 @@ class Descent:
         self.iterations = 0
         self.first = float("nan")
         self.converged = False
-        self._slices: dict[int, slice] = {}  # where a step has each variable
-        self._ordering: gtsam.Ordering | None = None  # of elimination, the same for every step
         self._lengths = (np.inf, np.inf)  # of the last two steps
         self._damping = SETTINGS.first_damping
         self._form = Form.NEWTON
@@ -173,15 +171,11 @@ class Descent:
     def _step(self, steps: Anderson) -> bool | None:
         """A step that does not raise the energy, and whether it was the last; None where there is none."""
         try:
-            linear, energy_here = self.graph.linearise(self.values, self.weights, self._form)
-            if self._ordering is None:
-                self._ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
-            newton = linear.optimize(self._ordering)
+            step, energy_here = self.graph.step(self.values, self.weights, self._form)
         except FactorCallbackError:
             raise
         except RuntimeError:  # GTSAM's only sign of a direction that nothing determines
             return None
-        step = newton.vector()
         length = float(np.abs(step).max(initial=0.0))
         last = self._is_last(length)
         # So near the end nobody asks what it does to the energy.
@@ -192,7 +186,7 @@ class Descent:
         if further is not None and np.abs(further).max() > NEWTON.longest_step * length:
             further = None
         for proposed in self._tries(step, further):
-            moved = self.values.retract(newton if proposed is step else self._by_key(newton, proposed))
+            moved = self.graph.system(self.values).moved(self.values, proposed)
             if unseen or self.graph.error(moved) <= energy:
                 steps.took(proposed)
                 self.values, self._still = moved, False
@@ -213,17 +207,6 @@ class Descent:
         self._lengths = before, length
         rate = max(before / earlier, length / before) if 0.0 < before < earlier < np.inf else 1.0
         return min(rate, 1.0) * length <= self._steady
-
-    def _by_key(self, newton: gtsam.VectorValues, step: Array) -> gtsam.VectorValues:
-        """A step (D,) as values by key, which are in ascending order."""
-        if not self._slices:
-            start = 0
-            for key in self.values.keys():  # noqa: SIM118  # a key vector, not a mapping
-                self._slices[key] = slice(start, start := start + len(newton.at(key)))
-        result = gtsam.VectorValues()
-        for key, part in self._slices.items():
-            result.insert(key, step[part])
-        return result
 
     def _damped(self, steps: Anderson) -> bool:
         """One step of Levenberg-Marquardt's instead; whether it was the last: those before moved or gained nothing."""

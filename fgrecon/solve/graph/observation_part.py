@@ -18,11 +18,13 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from factors import F, ObservationRows, ProjectionKernel, X, observation_factor, term_factor
+from factors import F, LinearShape, ObservationRows, ProjectionKernel, X, observation_factor, term_factor
 from factors.box import projected_extents
+from factors.guard import CompiledRows
 from factors.keypoint_rows import SMALLEST_WEIGHT
 from factors.mixture import Form
 from factors.native import native
+from factors.system import packed_pose
 from fgrecon.core.camera import Camera
 from fgrecon.core.robust import StrategyName
 from fgrecon.solve.graph.vehicle_part import VehiclePart
@@ -83,8 +85,9 @@ class ObservationPart:
         image: Number of the image in the keys.
         share: Factor on the energy of all its terms.
         pose_key: Key of camera_T_object, or None where it is a constant.
-        kernel: Projection of the keypoints.
-        rows: The rows of all terms; None where pose and shape are constants.
+        keys: Keys of its variables: its pose, those of the shape, the focal length, as far as they are variables.
+        compiled: The compiled rows of all terms with their variables; None where there are none, the focal length is a
+            variable, or all are constants.
     """
 
     def __init__(
@@ -113,37 +116,59 @@ class ObservationPart:
         self.problem, self.vehicle, self.image, self.share = problem, vehicle, image, share
         self.pose_key = X(vehicle.number, image) if pose_free else None
         self._pose = pose
-        bound = pose if self.pose_key is None else self.pose_key
-        focal, matrix, box = F(image) if focal_free else None, problem.camera.matrix, problem.energy.box
-        self.kernel = ProjectionKernel(vehicle.shape, matrix, bound, focal)
-        self._outline = None
-        if box is not None:
-            self._outline = ProjectionKernel(vehicle.enclosed(box.mean, box.basis), matrix, bound, focal)
-        self._compiled = problem.energy.compiled if focal is None else None
+        self._focal_key = F(image) if focal_free else None
+        self.keys = tuple([key for key in (self.pose_key, *vehicle.shape.keys, self._focal_key) if key is not None])
+        self._compiled = problem.energy.compiled if self._focal_key is None else None
         self._strategy = problem.energy.keypoints.strategy
         self._mixture = self._strategy.name is StrategyName.MIXTURE
         self._last: _Assessed | None = None
-        self.rows = self._all_rows() if self.kernel.keys else None
+        self._told: tuple[Form, Array, Array, Array, float] | None = None  # what the rows have
+        self.compiled: CompiledRows | None = None
+        kernel = native("factors._energy")
+        if self._compiled is not None and kernel is not None and self.keys:
+            image = kernel.ImageRows(self._compiled, share, self.pose_key is not None)
+            at = packed_pose(pose.matrix()) if self.pose_key is None else self.pose_key
+            self.compiled = CompiledRows(image, (at, *vehicle.shape.bound))
 
-    def _all_rows(self) -> ObservationRows:
-        energy, image, kernel = self.problem.energy, None, native("factors._energy")
-        if self._compiled is not None and kernel is not None:
-            image = kernel.ImageRows(self._compiled, self.share, self.pose_key is not None)
-        return ObservationRows(
+    @cached_property
+    def kernel(self) -> ProjectionKernel:
+        """Projection of the keypoints."""
+        return self._projection(self.vehicle.shape)
+
+    def _projection(self, shape: LinearShape) -> ProjectionKernel:
+        bound = self._pose if self.pose_key is None else self.pose_key
+        return ProjectionKernel(shape, self.problem.camera.matrix, bound, self._focal_key)
+
+    @cached_property
+    def _outline(self) -> ProjectionKernel | None:
+        """Projection of the points that the box encloses."""
+        box = self.problem.energy.box
+        return None if box is None else self._projection(self.vehicle.enclosed(box.mean, box.basis))
+
+    @cached_property
+    def rows(self) -> ObservationRows | None:
+        """The rows of all terms as the factor has them; None where pose and shape are constants."""
+        energy = self.problem.energy
+        if not self.keys:
+            return None
+        rows = ObservationRows(
             self.kernel,
             energy.keypoints.rows,
             box=None if energy.box is None else energy.box.rows,
             outline=self._outline,
             ground=None if energy.ground is None or self.pose_key is None else energy.ground.rows,
-            compiled=image,
+            compiled=None if self.compiled is None else self.compiled.source,
             share=self.share,
             robust=None if self._strategy.loss is None else self._strategy.robust_loss,
         )
+        if self._told is not None:
+            rows.form, rows.right, rows.wrong, rows.edge_weights, rows.height_sigma = self._told
+        return rows
 
     @property
     def is_robust(self) -> bool:
         """Whether the factor that is solved has the robust loss inside, so that one solve finds its minimum."""
-        return self._mixture and self.rows is not None
+        return self._mixture and bool(self.keys)
 
     @cached_property
     def factor(self) -> gtsam.CustomFactor | None:
@@ -157,35 +182,52 @@ class ObservationPart:
             weights: The weights; of the mixture those are used that `form` says.
             form: How the mixture is handed to the solver; other strategies have `Form.WEIGHTED`.
         """
-        rows, ground = self.rows, self.problem.energy.ground
-        if rows is None:
+        if not self.keys:
             return
-        term = self.problem.energy.keypoints
-        rows.form, rows.edge_weights = form if self._mixture else Form.WEIGHTED, weights.box
-        if rows.form is Form.WEIGHTED:
-            rows.right = self.graph_weights(weights)
+        term, ground = self.problem.energy.keypoints, self.problem.energy.ground
+        form = form if self._mixture else Form.WEIGHTED
+        if form is Form.WEIGHTED:
+            right, wrong = self.graph_weights(weights), np.ones(len(weights.keypoints))
         else:
-            rows.right, rows.wrong = self._strategy.densities(term.evidence, weights.visibility)
-        if ground is not None:
-            rows.height_sigma = ground.ground.height_sigma_at_depth(weights.depth)
-        rows.tell()
+            right, wrong = self._strategy.densities(term.evidence, weights.visibility)
+        sigma = 1.0 if ground is None else ground.ground.height_sigma_at_depth(weights.depth)
+        if self.compiled is not None:
+            self.compiled.source.form = int(form)
+            self.compiled.source.tell(right, wrong, weights.box, sigma)
+        self._told = form, right, wrong, weights.box, sigma
+        if (rows := vars(self).get("rows")) is not None:  # made when they are asked for
+            rows.form, rows.right, rows.wrong, rows.edge_weights, rows.height_sigma = self._told
 
     @property
     def judges(self) -> bool:
         """Whether the compiled rows find the weights themselves."""
-        return self.is_robust and self._compiled is not None
+        return self.is_robust and self.compiled is not None
 
     def see(self, weights: Weights, form: Form) -> None:
         """The same as `tell` for the compiled rows alone, where they judge."""
-        assert self.rows is not None
-        self.rows.compiled.form = int(form)
-        self.rows.compiled.see(weights.visibility, weights.box, weights.depth)
+        assert self.compiled is not None
+        self.compiled.source.form = int(form)
+        self.compiled.source.see(weights.visibility, weights.box, weights.depth)
 
     def judged(self, found: Array, before: Weights | None) -> Weights:
         """Weights by what the compiled rows found (`factors._energy.ImageRows.judge`), at those before where given."""
         count = self.vehicle.shape.size
         depth = float(found[-1]) if before is None else before.depth
         return Weights(found[:count], found[count:-5], found[-5:-1], depth)
+
+    def jacobian(self, values: gtsam.Values, weights: Weights) -> Array:
+        """(rows, D) derivative of the factor's rows by its variables, one after the other, with weights."""
+        self.tell(weights, Form.WEIGHTED)
+        if self.compiled is None:
+            assert self.factor is not None
+            jacobian: Array = self.factor.linearize(values).jacobian()[0]
+            return jacobian
+        source, shape = self.compiled.source, self.vehicle.shape
+        by_all = np.empty((source.rows, source.columns))
+        at = packed_pose(self.pose(values).matrix()), shape.coefficients(values), shape.offsets(values)
+        source.evaluate(at, np.empty(source.rows), by_all)
+        free = [isinstance(variable, int) for variable in self.compiled.variables]
+        return by_all if all(free) else by_all[:, np.repeat(free, [dim for _, dim, _ in source.takes])]
 
     def pose(self, values: gtsam.Values) -> gtsam.Pose3:
         """camera_T_object at the values."""
@@ -201,7 +243,7 @@ class ObservationPart:
             hold: Keep visibility and the ground's uncertainty as they are.
         """
         here = self._assess(values, before.visibility if hold else None, before.keypoints, progress)
-        depth = before.depth if hold else float(self.kernel.pose(values)[2, 3])
+        depth = before.depth if hold else self.pose(values).z()
         return Weights(here.keypoints, here.visibility, here.box, depth)
 
     def graph_weights(self, weights: Weights) -> Array:
@@ -240,7 +282,7 @@ class ObservationPart:
     def _off_ground(self, values: gtsam.Values, sigma: float) -> float:
         """Half the squared deviation from the ground, whose height is known to sigma metres there."""
         assert self.problem.energy.ground is not None
-        pose = self.kernel.pose(values)
+        pose = self.pose(values).matrix()
         return self.problem.energy.ground.rows.energy(pose[:3, :3], pose[:3, 3], sigma)
 
     def projections(self, values: gtsam.Values) -> Array:
@@ -257,11 +299,15 @@ class ObservationPart:
         if self._compiled is not None:
             shape, visible = self.vehicle.shape, np.empty(self.vehicle.shape.size) if visibility is None else visibility
             weights, _, _, edges, *energies = self._compiled.assess(
-                self.kernel.pose(values), shape.coefficients(values), shape.offsets(values), visible, visibility is None
+                self.pose(values).matrix(),
+                shape.coefficients(values),
+                shape.offsets(values),
+                visible,
+                visibility is None,
             )
         else:
             energy, term, box = self.problem.energy, self.problem.energy.keypoints, self.problem.energy.box
-            visible = energy.visibility(self.kernel.pose(values)[None])[0] if visibility is None else visibility
+            visible = energy.visibility(self.pose(values).matrix()[None])[0] if visibility is None else visibility
             squares = np.square(term.rows.residual(self.kernel.evaluate(values).pixels)).sum(axis=1)
             weights, robust = term.strategy.evaluate(
                 squares, term.evidence, visible, previous=previous, progress=progress
@@ -276,7 +322,7 @@ class ObservationPart:
 
     def camera(self, values: gtsam.Values) -> Camera:
         """The camera at the values."""
-        if self.kernel.focal_key is None:
+        if self._focal_key is None:
             return self.problem.camera
         return replace(self.problem.camera, matrix=self.kernel.matrix(values))
 

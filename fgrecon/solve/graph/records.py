@@ -42,7 +42,7 @@ def graph_factors(graph: Graph, weights: Sequence[Weights]) -> tuple[GraphFactor
 
 def _keypoints(part: ObservationPart, weights: Weights, *, each: bool) -> Iterator[GraphFactor]:
     names = part.problem.model.prior.category.keypoints
-    variables = tuple(key_name(key) for key in part.kernel.keys)
+    variables = tuple(key_name(key) for key in part.keys)
     used = part.problem.observation.measured & (part.graph_weights(weights) >= SMALLEST_WEIGHT)
     if not variables or not used.any():
         return

@@ -6,16 +6,23 @@ camera changes smoothly is left.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
+
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from factors.keys import V, X
+from factors.linear import Walk, ZeroPrior
 from factors.losses import Loss, RobustLoss
 from factors.motion import drive_factor, motion_factor
 from factors.noise import diagonal_noise, full_noise
 from fgrecon.core.category import MotionModel
 from fgrecon.solve.time.frame import FrameStep
 from fgrecon.solve.time.time_settings import SETTINGS
+
+Array = NDArray[np.float64]
 
 
 def between_terms(
@@ -26,7 +33,7 @@ def between_terms(
     *,
     share: float = 1.0,
     alike: bool = True,
-) -> list[gtsam.NonlinearFactor]:
+) -> tuple[gtsam.NonlinearFactor, ...]:
     """The factors between two frames of vehicle 0.
 
     Args:
@@ -37,25 +44,48 @@ def between_terms(
         share: Of their information that the factors have.
         alike: Whether the velocities in both are of one kind: over the world, or relative to the camera.
     """
-    first, second = frames
     if step.camera is None:
-        own, walk = SETTINGS.unknown_camera_sigma, np.array(SETTINGS.relative_velocity_walk)
-    else:
-        across = model.slip if model.wheeled else model.acceleration
-        own, walk = SETTINGS.motion_sigma, np.array([model.acceleration, across, model.turning])
-    covariance = step.seconds * np.diag(np.array(own) ** 2) + step.carried(pose)
-    unsure = full_noise("motion", covariance / share)
-    between = motion_factor(X(0, first), V(0, first), X(0, second), step.seconds, unsure, step.camera)
-    if not alike:
-        return [between]
-    noise = diagonal_noise("walk", walk * np.sqrt(step.seconds) / np.sqrt(share))
-    return [between, gtsam.BetweenFactorVector(V(0, first), V(0, second), np.zeros(3), noise)]
+        return _by_unknown_camera(frames, step.seconds, share, alike)
+    across = model.slip if model.wheeled else model.acceleration
+    walk = (model.acceleration, across, model.turning)
+    unsure = step.seconds * np.diag(np.array(SETTINGS.motion_sigma) ** 2) + step.carried(pose)
+    return _between(
+        frames, step.seconds, step.camera, unsure / share, _walk(walk, step.seconds, share) if alike else None
+    )
 
 
+@lru_cache(maxsize=1024)
+def _by_unknown_camera(
+    frames: tuple[int, int], seconds: float, share: float, alike: bool
+) -> tuple[gtsam.NonlinearFactor, ...]:
+    """Those that depend on no pose: the same in one window after the other."""
+    unsure = seconds * np.diag(np.array(SETTINGS.unknown_camera_sigma) ** 2)
+    walk = _walk(SETTINGS.relative_velocity_walk, seconds, share) if alike else None
+    return _between(frames, seconds, None, unsure / share, walk)
+
+
+def _walk(change: Sequence[float], seconds: float, share: float) -> Array:
+    """(3,) standard deviation of a velocity's change, for that in a second."""
+    sigmas: Array = np.array(change) * np.sqrt(seconds) / np.sqrt(share)
+    return sigmas
+
+
+def _between(
+    frames: tuple[int, int], seconds: float, camera: gtsam.Pose3 | None, covariance: Array, walk: Array | None
+) -> tuple[gtsam.NonlinearFactor, ...]:
+    first, second = frames
+    noise = full_noise("motion", covariance)
+    between = motion_factor(X(0, first), V(0, first), X(0, second), seconds, noise, camera)
+    if walk is None:
+        return (between,)
+    return between, Walk(V(0, first), V(0, second), diagonal_noise("walk", walk))
+
+
+@lru_cache(maxsize=1024)
 def velocity_terms(
     frame: int, seconds: float, model: MotionModel, *, known: bool, share: float = 1.0, stands: bool | None = None
-) -> list[gtsam.NonlinearFactor]:
-    """The factors about the velocity of vehicle 0 in a frame.
+) -> tuple[gtsam.NonlinearFactor, ...]:
+    """The factors about the velocity of vehicle 0 in a frame; the same in one window after the other.
 
     Args:
         frame: Its number.
@@ -68,15 +98,12 @@ def velocity_terms(
     root = np.sqrt(share * seconds)
     key, (forward, across, turning) = V(0, frame), SETTINGS.velocity_sigma
     if not known or not model.wheeled:
-        return [drive_factor(key, diagonal_noise("velocity", np.array(SETTINGS.velocity_sigma) / root))]
+        return (drive_factor(key, diagonal_noise("velocity", np.array(SETTINGS.velocity_sigma) / root)),)
     if stands:
         sigma = np.array([model.standing, model.standing, SETTINGS.standing_turn_rate_rad_per_s]) / np.sqrt(seconds)
-        return [gtsam.PriorFactorVector(key, np.zeros(3), diagonal_noise("standing", sigma))]
+        return (ZeroPrior(key, diagonal_noise("standing", sigma)),)
     drive = drive_factor(key, diagonal_noise("drive", np.array([forward, model.slip, 1.0]) / root), model.radius)
     if stands is not None:
-        return [drive]
+        return (drive,)
     still = diagonal_noise("standing", np.array([model.standing, across, turning]) / root)
-    standing = gtsam.PriorFactorVector(
-        key, np.zeros(3), RobustLoss.of(Loss.CAUCHY, SETTINGS.standing_loss_sigmas * root).wrap(still)
-    )
-    return [drive, standing]
+    return drive, ZeroPrior(key, RobustLoss.of(Loss.CAUCHY, SETTINGS.standing_loss_sigmas * root).wrap(still))

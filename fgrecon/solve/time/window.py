@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from factors.keys import V, X, decode_key
 from fgrecon.core.category import MotionModel
 from fgrecon.core.reconstruction import rotation_y
-from fgrecon.solve.graph.covariance import Spread
+from fgrecon.solve.graph.covariance import Spread, joint_covariance, marginals_of
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State, common_share
 from fgrecon.solve.graph.multi_start import MultiStartResult, SolvedStage, minimise_from_proposals
 from fgrecon.solve.graph.optimise import optimise
@@ -234,12 +234,12 @@ def velocity_covariances(solved: WindowSolve, frames: Sequence[Frame]) -> list[A
     """
     graph, optimum = solved.adjusted.graph, solved.adjusted.optimum
     keys = {key(0, frame.number) for frame in frames for key in (X, V)}
-    spread = Spread.of(graph.build(optimum.state.weights), optimum.values, keys)
+    spread = marginals_of(graph, optimum.values, optimum.state.weights, keys, counted_once=False)
     return [None if spread is None else _velocity_covariance(spread, frame, solved.motion_share) for frame in frames]
 
 
-def _velocity_covariance(spread: Spread, frame: Frame, share: float) -> Array | None:
-    joint = spread.joint([X(0, frame.number), V(0, frame.number)])
+def _velocity_covariance(spread: Spread | gtsam.Marginals, frame: Frame, share: float) -> Array | None:
+    joint = joint_covariance(spread, [X(0, frame.number), V(0, frame.number)])
     forward, left, _ = frame.velocity
     by_both = np.zeros((3, 9))
     by_both[:, :3] = -np.array([[0.0, -left, 0.0], [left, 0.0, -forward], [0.0, forward, 0.0]])

@@ -27,7 +27,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options, ShapeOptions
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.solve.graph.covariance import factorise, projected_covariances
+from fgrecon.solve.graph.covariance import marginals_of, projected_covariances
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import MultiStartResult, minimise_from_proposals
 from fgrecon.solve.inputs import observe
@@ -118,7 +118,9 @@ def _covariances(adjusted: MultiStartResult) -> list[Array | None]:
     """(K, 2, 2) of the projected keypoints in each image; None where the graph has no minimum that determines them."""
     graph, optimum = adjusted.graph, adjusted.optimum
     values = graph.values(optimum.state)
-    marginals = None if optimum.failure is not None else factorise(graph.build(optimum.state.weights), values)
+    marginals = (
+        None if optimum.failure is not None else marginals_of(graph, values, optimum.state.weights, counted_once=False)
+    )
     return [None if marginals is None else projected_covariances(p, values, marginals) for p in graph.observations]
 
 

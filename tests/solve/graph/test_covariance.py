@@ -8,7 +8,13 @@ import pytest
 
 from factors.keys import L, S
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.covariance import Spread, factorise, joint_covariance, projected_covariances, read_covariances
+from fgrecon.solve.graph.covariance import (
+    Spread,
+    joint_covariance,
+    marginals_of,
+    projected_covariances,
+    read_covariances,
+)
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.vehicle_part import fleet_prior
@@ -36,7 +42,7 @@ def at_result(seed=3, **settings):
 
 
 def covariances(graph, values, weights):
-    marginals = factorise(graph.build([weights]), values)
+    marginals = marginals_of(graph, values, [weights], counted_once=False)
     return read_covariances(graph.observations[0], weights, values, marginals)
 
 
@@ -122,7 +128,7 @@ def test_vehicles_of_a_fleet_that_nobody_told_are_unsure_together():
     state = State([end.poses[0] for end in ends], {i: end.shapes[0] for i, end in enumerate(ends)}, weights, others)
     seen, model = [GraphObservation(car.problem, vehicle=i) for i, car in enumerate(cars)], cars[0].problem.model
     graph = Graph(seen, state, pose_free=True, extra=[fleet_prior(model)])
-    joint = joint_covariance(factorise(graph.for_covariances(weights), graph.values(state)), [L(0), L(1)])
+    joint = joint_covariance(marginals_of(graph, graph.values(state), weights), [L(0), L(1)])
 
     count = model.prior.dimension
     alike = model.by_size @ model.fleet_spread @ model.by_size.T
@@ -131,7 +137,7 @@ def test_vehicles_of_a_fleet_that_nobody_told_are_unsure_together():
     for number, car in enumerate(cars):
         own = slice(number * count, (number + 1) * count)
         one = car.graph()
-        alone = factorise(one.for_covariances([car.weights]), one.values(car.optimum.state))
+        alone = marginals_of(one, one.values(car.optimum.state), [car.weights])
         covariance = joint_covariance(alone, [L(0)])
         said[own, own] = np.linalg.inv(covariance) - np.linalg.inv(alike + np.eye(count))
     expected = np.linalg.inv(np.linalg.inv(prior) + said)
@@ -143,10 +149,10 @@ def test_vehicles_of_a_fleet_that_nobody_told_are_unsure_together():
 def test_covariances_of_projections_are_those_of_samples(settings):
     """Pose and shape drawn together from what the graph leaves open."""
     result, graph, values, _ = at_result(**settings)
-    marginals = factorise(graph.build([result.weights]), values)
+    marginals = gtsam.Marginals(graph.build([result.weights]), values)
     part = graph.observations[0]
     found = projected_covariances(part, values, marginals)
-    keys = list(part.kernel.keys)
+    keys = list(part.keys)
     joint = marginals.jointMarginalCovariance(gtsam.KeyVector(keys))
     whole = np.block([[joint.at(a, b) for b in keys] for a in keys])
     rng, scale = np.random.default_rng(0), 0.1  # small enough for a linear projection
@@ -170,23 +176,19 @@ def test_covariances_of_projections_are_those_of_samples(settings):
 def test_one_factorisation_gives_what_gtsam_gives():
     """Of all variables, and of some of them, in the order that is asked for."""
     result, graph, values, _ = at_result()
-    built = graph.build([result.weights])
-    marginals, keys = factorise(built, values), list(values.keys())
+    marginals, keys = gtsam.Marginals(graph.build([result.weights]), values), list(values.keys())
     assert len(keys) > 1
+    system = graph.weighted(values, [result.weights])
     for wanted in (None, {keys[0]}):
-        spread = Spread.of(built, values, wanted)
+        spread = Spread.of(system.information(values), system.places, wanted)
         for key in keys if wanted is None else wanted:
             expected = marginals.marginalCovariance(key)
             np.testing.assert_allclose(spread.joint([key]), expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
-    turned = Spread.of(built, values).joint(keys[::-1])
+    turned = Spread.of(system.information(values), system.places).joint(keys[::-1])
     own = len(marginals.marginalCovariance(keys[-1]))
     np.testing.assert_allclose(turned[:own, :own], marginals.marginalCovariance(keys[-1]), rtol=1e-6, atol=1e-9)
 
 
 def test_one_factorisation_of_an_open_problem_is_none():
-    values = gtsam.Values()
-    for key in (0, 1):
-        values.insert(key, np.zeros(2))
-    graph = gtsam.NonlinearFactorGraph()
-    graph.add(gtsam.BetweenFactorVector(0, 1, np.zeros(2), gtsam.noiseModel.Unit.Create(2)))
-    assert Spread.of(graph, values) is None
+    information = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(2))  # only the difference of two is known
+    assert Spread.of(information, {0: slice(0, 2), 1: slice(2, 4)}) is None

@@ -141,7 +141,7 @@ def test_velocity_is_over_the_world_where_it_is_known():
 
 
 def test_a_velocity_whose_spread_cannot_be_had_has_none(monkeypatch):
-    monkeypatch.setattr("fgrecon.solve.time.window.Spread.of", lambda *_: None)
+    monkeypatch.setattr("fgrecon.solve.time.window.marginals_of", lambda *_, **__: None)
     rng = np.random.default_rng(9)
     online, _ = follow([(0.1 * t, seen(pose, rng), None) for t, pose in enumerate(approaching(3))])
     assert online[-1].velocity is not None
