@@ -8,7 +8,13 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-KERNELS = ("factors/_rows.pyx", "factors/_energy.pyx", "factors/_shape.pyx", "fgrecon/solve/_native.pyx")
+KERNELS = (
+    "factors/_rows.pyx",
+    "factors/_points.pyx",
+    "factors/_energy.pyx",
+    "factors/_shape.pyx",
+    "fgrecon/solve/_native.pyx",
+)
 
 
 class KernelHook(BuildHookInterface[Any]):

@@ -13,6 +13,7 @@ from libc.string cimport memcpy, memset
 
 import numpy as np
 
+from factors._points cimport Points
 from factors._rows cimport Source
 from factors.box import FARTHEST_SHARE, NEAREST_KINK
 from factors.mixture import STIFFEST
@@ -185,7 +186,8 @@ cdef class Observation:
     cdef const double[:, ::1] size_basis
     cdef const double[::1] size_mean
     cdef const double[::1] size_sigma
-    cdef bint has_size, has_direction, is_bound
+    cdef bint has_size, has_direction, is_bound, has_points
+    cdef Points measured_points
 
     def __reduce__(self):
         """Pointers into arrays are not copied.
@@ -257,6 +259,10 @@ cdef class Observation:
         if not all(sizes):
             raise ValueError(f"arrays that do not belong together: {sizes}")
         self.is_bound = True
+
+    def search_points(self, Points points):
+        """Bind measured points, which the search has as well."""
+        self.measured_points, self.has_points = points, True
 
     cdef double keypoint(
         self, int k, const double *R, const double *t, const double *x, const double *offsets, double least,
@@ -770,6 +776,8 @@ cdef double evaluate(
         i = i % A if i > 0 else 0  # NaN as well
         place -= floor(place)
         energy -= log((1.0 - place) * terms.direction[i] + place * terms.direction[(i + 1) % A])
+    if terms.has_points:
+        energy += terms.measured_points.add(R, t, x, g, M, J)
     for n in range(N):
         energy += 0.5 * x[n] * x[n]
         g[6 + n] += x[n]

@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.choices import BoxModel, StrategyName
     from fgrecon.core.detection import Detection
     from fgrecon.core.detector_calibration import DetectorCalibration
+    from fgrecon.core.evidence import Points
     from fgrecon.core.observation import Observation
     from fgrecon.core.options import BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
     from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
@@ -73,6 +74,7 @@ __all__ = [
     "MotionModel",
     "Observation",
     "Options",
+    "Points",
     "Reconstruction",
     "RefinedBox",
     "Regions",

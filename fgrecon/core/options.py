@@ -194,6 +194,7 @@ class Options:
         "box",
         "ground",
         "direction",
+        "points",
     )
 
     def __init__(

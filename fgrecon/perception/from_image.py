@@ -15,6 +15,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite, as_list, as_rows
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import AssumedCameraWarning, FgreconError, InvalidInputError
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
@@ -93,6 +94,7 @@ def reconstruct_detections(
     size_prior: SizesLike | None = None,
     options: Options | None = None,
     together: bool = True,
+    evidence: Sequence[Evidence] = (),
 ) -> list[FromImage]:
     """Pose and shape of the detected vehicles of one image; the arguments are those of `reconstruct_image`.
 
@@ -104,6 +106,7 @@ def reconstruct_detections(
         size_prior: Size prior.
         options: Settings.
         together: Whether the vehicles share one ground.
+        evidence: What other sensors say of the vehicles.
 
     Returns:
         The vehicles, in the order of the detections; one that was refused has its error.
@@ -120,6 +123,7 @@ def reconstruct_detections(
             ground=ground,
             size_prior=size_prior,
             options=options,
+            evidence=evidence,
         )
         solved = dict(zip(scene.numbers, scene.vehicles, strict=True))
         return [FromImage(d, solved.get(i), scene.refused.get(i), scene.camera) for i, d in enumerate(detections)]
@@ -127,7 +131,7 @@ def reconstruct_detections(
     for detection in detections:
         try:
             result = reconstruct_detection(
-                detection, camera, options=options, prior=prior, ground=ground, size_prior=size_prior
+                detection, camera, options=options, prior=prior, ground=ground, size_prior=size_prior, evidence=evidence
             )
             vehicles.append(FromImage(detection, result, None, camera))
         except FgreconError as error:
@@ -148,6 +152,7 @@ def reconstruct_image(
     options: Options | None = None,
     together: bool = True,
     classes: Sequence[VehicleClass | None] | Literal["detected"] | None = None,
+    evidence: Sequence[Evidence] = (),
 ) -> list[FromImage]:
     """Pose and shape of the vehicles in an image.
 
@@ -168,6 +173,7 @@ def reconstruct_image(
             is not known they are solved together in any case.
         classes: Which class the vehicle in each box is of, which tells its size; or `detected` for what the vehicle
             detector says. None where nobody says.
+        evidence: What other sensors say of the vehicles, such as `fgrecon.Points` of a scan in the camera's frame.
 
     Returns:
         The vehicles, in the order of the boxes; one that was refused has its error. Empty where there is none.
@@ -194,6 +200,7 @@ def reconstruct_image(
     detections = find_keypoints(networks, pixels, corners, shape_prior.category)
     detections = _with_classes(detections, named if classes == "detected" else classes)
     how: dict[str, Any] = {"ground": ground, "size_prior": size_prior, "options": options, "together": together}
+    how["evidence"] = evidence
     vehicles = reconstruct_detections(detections, sized, prior=shape_prior, **how)
     estimated = next((one.camera for one in vehicles if one.result is not None), None)
     if known is None and estimated is not None:

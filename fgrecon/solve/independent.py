@@ -121,7 +121,9 @@ def solve_independently(
     warnings: dict[int, InputWarning | None] = {}
     for number, given in enumerate(observations):
         try:
-            seen[number], warnings[number] = observe(given, camera, setup.prior.category, setup.options)
+            seen[number], warnings[number] = observe(
+                given, camera, setup.prior.category, setup.options, evidence=setup.evidence
+            )
         except FgreconError as error:
             refused[number] = error
     coupled: dict[int, Observation] = {}

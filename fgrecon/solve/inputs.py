@@ -17,10 +17,11 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_instance, as_list, as_rigid, as_shape
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.evidence import Evidence
+from fgrecon.core.evidence import Evidence, Points, as_evidence
 from fgrecon.core.input_warnings import InputWarning, input_warning_of, strays
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options, checked_options
+from fgrecon.core.point_frames import check_points
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import CLASSES, SizePrior, SizesLike, check_order, other_fleets, size_prior
 from fgrecon.core.vehicle_class import VehicleClass
@@ -48,6 +49,7 @@ class SolveSetup:
         model: The prior prepared for the vehicles' sizes.
         ground: Ground plane, or None.
         fleet: Sizes that are given for all vehicles, or None.
+        evidence: What other sensors say of all vehicles.
     """
 
     options: Options
@@ -55,6 +57,7 @@ class SolveSetup:
     model: VehicleModel
     ground: Ground | None = None
     fleet: SizePrior | None = None
+    evidence: tuple[Evidence, ...] = ()
 
     @classmethod
     def of(
@@ -299,6 +302,19 @@ def as_extra_factors(given: Sequence[gtsam.NonlinearFactor]) -> Sequence[gtsam.N
     import gtsam
 
     return as_list("extra_factors", given, gtsam.NonlinearFactor)
+
+
+def evidence_of(given: Sequence[Evidence], camera: Camera) -> tuple[Evidence, ...]:
+    """What other sensors say of the vehicles in a camera's image.
+
+    Raises:
+        InvalidInputError: It is no sequence of evidence, or points are in another frame or unit.
+    """
+    evidence = as_evidence(given) if given != () else ()
+    for number, one in enumerate(evidence):
+        if isinstance(one, Points) and len(one.points):
+            check_points(one.points, camera, f"evidence[{number}]")
+    return evidence
 
 
 def as_boxes(boxes: Sequence[Box3D | None], count: int, camera: Camera, prior: ShapePrior) -> list[Box3D | None]:

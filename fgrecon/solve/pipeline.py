@@ -21,7 +21,7 @@ from fgrecon.core.size_prior import SizesLike
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.image_facing import single_pose
-from fgrecon.solve.inputs import SolveSetup, as_extra_factors, as_initial, calibrated, observe
+from fgrecon.solve.inputs import SolveSetup, as_extra_factors, as_initial, calibrated, evidence_of, observe
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.result import results
 from fgrecon.solve.threads import single_threaded
@@ -66,7 +66,8 @@ def reconstruct(
         extra_factors: The caller's own factors on the pose X(0, 0), lambda L(0) and, with free offsets, O(0)
             (`factors.keys`; `factors.guarded_factor` makes one from a callback). They are in every solve of the graph,
             in the covariances and in the history as term `extra`, but not in the search for proposals.
-        evidence: What is known of the vehicle beside its keypoints, such as `fgrecon.VehicleClass("van")`.
+        evidence: What is known of the vehicle beside its keypoints, such as `fgrecon.VehicleClass("van")`, or
+            `fgrecon.Points` of a scan. With points and a box a vehicle needs no keypoints.
 
     Returns:
         The reconstruction; its `status` tells how far to trust it.
@@ -82,7 +83,8 @@ def reconstruct(
     camera = calibrated("intrinsics", Camera.of(intrinsics, distortion))
     start, factors = as_initial(initial, setup.prior), as_extra_factors(extra_factors)
     given = {"confidence": confidence, "box": box, "covariance": covariance}
-    observed = observe(keypoints, camera, setup.prior.category, setup.options, **given, evidence=evidence)
+    sensed = evidence_of(evidence, camera)
+    observed = observe(keypoints, camera, setup.prior.category, setup.options, **given, evidence=sensed)
     if observed.warning is not None:
         warn_of(InputWarnings.of({"the vehicle": observed.warning}), stacklevel=3)
 

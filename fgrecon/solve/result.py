@@ -74,6 +74,7 @@ def marginalise(graph: Graph, optimum: Optimum, at_once: Collection[int] | None 
     weights = [_common(part, w) for part, w in zip(graph.observations, optimum.state.weights, strict=True)]
     if optimum.failure is not None:
         return Marginalised(values, weights, None)
+    graph.look(values)
     keys: set[int] | None = None
     if at_once is not None:
         parts = [part for i, part in enumerate(graph.observations) if i in at_once]
@@ -127,11 +128,14 @@ def results(
             continue
         uncertainty = read_covariances(part, known.weights[i], known.values, known.marginals, shapes)
         end = _End(part, optimum, i, adjusted.alternatives[i], None if facing is None else facing[i], uncertainty)
+        points, point_weights = graph.points_of(i)
         diagnostics = {
             "energies": {} if failed else optimum.energies if single else part.energies(known.values, weights[i]),
             "history": pose_history(start, adjusted, i, single=single) if options.keep_history else (),
             "graph": structure,
             "milliseconds": milliseconds,
+            "points": points,
+            "point_weights": point_weights,
         }
         found.append(_result(end, diagnostics))
     return found
@@ -213,6 +217,7 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
             coefficients,
             box_size,
             problem.ground,
+            float(diagnostics["point_weights"].sum()),
         )
         if problem.model.size is not None and (larger := problem.model.size.larger):
             reasons = (*reasons, f"the shape of a {' or '.join(larger)} is a stretched {category.name}'s")

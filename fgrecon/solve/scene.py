@@ -24,10 +24,11 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from factors.keys import F, S
+from factors.keys import F, L, S, X
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_list
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.input_warnings import InputWarnings, warn_of
 from fgrecon.core.observation import KeypointsLike
 from fgrecon.core.options import Options
@@ -45,7 +46,7 @@ from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle_part import fleet_prior, is_any_fleets
 from fgrecon.solve.image_ground import ImageGround, observed_ground
 from fgrecon.solve.independent import IndependentSolve, IndependentVehicle, solve_independently
-from fgrecon.solve.inputs import SolveSetup, as_box_errors, as_boxes
+from fgrecon.solve.inputs import SolveSetup, as_box_errors, as_boxes, as_extra_factors, evidence_of
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.mutual_occlusion import with_occlusion
 from fgrecon.solve.result import Marginalised, marginalise, pose_history, results, weakened
@@ -68,6 +69,8 @@ def reconstruct_scene(
     options: Options | None = None,
     boxes: Sequence[Box3D | None] | None = None,
     box_errors: BoxErrors | None = None,
+    evidence: Sequence[Evidence] = (),
+    extra_factors: Sequence[gtsam.NonlinearFactor] = (),
 ) -> SceneReconstruction:
     """Recover pose and shape of all vehicles of an image, and the ground that they stand on.
 
@@ -83,6 +86,10 @@ def reconstruct_scene(
         boxes: What another detector says of each vehicle, None where it does not: factors on its pose, and a size in
             the place of `size_prior`.
         box_errors: How far these boxes are off; None for a monocular detector's.
+        evidence: What other sensors say of all vehicles, such as `fgrecon.Points` of a scan; what they say of one alone
+            is given with its `Observation`.
+        extra_factors: The caller's own factors on the poses X(v, 0) and lambdas L(v), v the number of the observation,
+            and the ground G(0); those on a vehicle that is refused are left out. See `fgrecon.reconstruct`.
 
     Returns:
         The scene. Vehicles that determine no pose are in `refused`. Where fewer than two were solved there is nothing
@@ -99,7 +106,8 @@ def reconstruct_scene(
         unsized = prepare(setup.prior, None, setup.options.shape.basis_vectors)
         each = as_boxes(boxes, len(observations), known, setup.prior)
         boxed = [None if box is None else KnownBox(box, errors, unsized) for box in each]
-    return _reconstruct(_Images([observations], known, setup), boxed)[0]
+    setup = replace(setup, evidence=evidence_of(evidence, known))
+    return _reconstruct(_Images([observations], known, setup, as_extra_factors(extra_factors)), boxed)[0]
 
 
 @single_threaded
@@ -139,11 +147,20 @@ def reconstruct_scenes(
 
 @dataclass(frozen=True)
 class _Images:
-    """Images of one camera, whose vehicles, numbered through, are solved together; `camera` is what is known of it."""
+    """Images of one camera, whose vehicles, numbered through, are solved together; `camera` is what is known of it.
+
+    `extra` are factors of the caller's own.
+    """
 
     vehicles: Sequence[Sequence[KeypointsLike]]
     camera: Camera
     setup: SolveSetup
+    extra: Sequence[gtsam.NonlinearFactor] = ()
+
+    @property
+    def numbers(self) -> set[int]:
+        """The numbers of all vehicles."""
+        return set(range(len(self.image_of)))
 
     @property
     def image_of(self) -> list[int]:
@@ -278,7 +295,7 @@ def _solve_jointly(independent: IndependentSolve, images: _Images, out: Collecti
     known, options = images.camera, images.setup.options
     solved = {number: one for number, one in independent.solved.items() if number not in out}
     standing = _standing(solved, images)
-    if not solved or not (standing or known.focal_sigma):
+    if not solved or not (standing or known.focal_sigma or images.extra):
         return None
     priors: list[gtsam.NonlinearFactor] = []
     others = gtsam.Values()
@@ -304,7 +321,9 @@ def _solve_jointly(independent: IndependentSolve, images: _Images, out: Collecti
         weights=[state.weights[0] for state in states],
         others=others,
     )
-    extra = [*(contact for one in standing.values() for contact in one.contacts.values()), *priors]
+    left_out = {X(n, 0) for n in images.numbers - solved.keys()} | {L(n) for n in images.numbers - solved.keys()}
+    own = [factor for factor in images.extra if left_out.isdisjoint(factor.keys())]
+    extra = [*(contact for one in standing.values() for contact in one.contacts.values()), *priors, *own]
     graph = Graph(seen, state, pose_free=True, extra=extra)
     optimum = optimise(graph, state, steady=SCENE.joint_visibility_step)
     return None if optimum.failure is not None else _JointSolve(independent, seen, graph, optimum, extra, standing)

@@ -81,6 +81,7 @@ class StatusSettings:
     small_turn_deg: int = 10  # of an alternative that is turned by less it is said how far away it is
     # Weak results
     carrying_keypoints: float = 5.5  # weight: with two equations each, fewer than pose and shape have unknowns
+    points_a_keypoint: float = 4.0  # measured points that carry as much as a keypoint; not tuned
     right_keypoints: float = 0.25  # of the measured ones by the detector; a half where it gives no confidences
     off_ground_sigmas: float = 2.0
     outside_image: float = 0.5  # of the vehicle's 2D box

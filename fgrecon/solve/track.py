@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_list
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.history import Deferred
 from fgrecon.core.input_warnings import InputWarnings, warn_of
 from fgrecon.core.observation import Observation
@@ -38,7 +39,7 @@ from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.graph.records import graph_factors, joint_steps
 from fgrecon.solve.image_facing import single_pose
-from fgrecon.solve.inputs import SolveSetup, as_cameras, as_extra_factors, observe
+from fgrecon.solve.inputs import SolveSetup, as_cameras, as_extra_factors, evidence_of, observe
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.result import results
@@ -61,6 +62,7 @@ def reconstruct_track(
     options: Options | None = None,
     extra_factors: Sequence[gtsam.NonlinearFactor] = (),
     in_order: bool = True,
+    evidence: Sequence[Sequence[Evidence]] | None = None,
 ) -> TrackReconstruction:
     """Recover the poses and the one shape of a vehicle that several images show.
 
@@ -76,6 +78,8 @@ def reconstruct_track(
             with free offsets, O(0); see `fgrecon.reconstruct`.
         in_order: Whether the images were taken one after the other: then its heading is seldom flipped from one to
             the next, and an image that takes its front for its rear is outvoted by its neighbours.
+        evidence: What other sensors say of the vehicle in each image, such as `fgrecon.Points` of a scan each; None
+            where they say nothing.
 
     Returns:
         The result; images without a pose are in `refused`.
@@ -88,6 +92,7 @@ def reconstruct_track(
     factors = as_extra_factors(extra_factors)
     observations = as_list("observations", observations)
     each = as_cameras(cameras, len(observations))
+    observations = _with_evidence(observations, each, evidence)
 
     started = perf_counter()
     doubts = InputWarnings()
@@ -114,6 +119,18 @@ def reconstruct_track(
         graph=Deferred(lambda: graph_factors(adjusted.graph, optimum.state.weights)) if keep else (),
         milliseconds=milliseconds,
     )
+
+
+def _with_evidence(
+    observations: list[Observation | None], cameras: Sequence[Camera], evidence: Sequence[Sequence[Evidence]] | None
+) -> list[Observation | None]:
+    if evidence is None:
+        return observations
+    if len(evidence) != len(observations):
+        value = f"{len(evidence)} for {len(observations)} images"
+        raise InvalidInputError("evidence", value, "Give a sequence for each image.")
+    sensed = [evidence_of(tuple(some), camera) for some, camera in zip(evidence, cameras, strict=True)]
+    return [None if o is None else o.with_evidence(some) for o, some in zip(observations, sensed, strict=True)]
 
 
 def _posed(

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.half_turn import flipped_alternative
 from fgrecon.core.input_warnings import InputWarnings, warn_of
 from fgrecon.core.observation import KeypointsLike, Observation
@@ -40,6 +41,7 @@ from fgrecon.solve.inputs import (
     as_ground,
     as_motion_covariance,
     calibrated,
+    evidence_of,
     observe,
 )
 from fgrecon.solve.result import marginalise, results
@@ -134,6 +136,7 @@ class Tracker:
         world_T_camera: ArrayLike | None = None,
         ground: Ground | float | None = None,
         motion_covariance: ArrayLike | None = None,
+        evidence: Sequence[Evidence] = (),
     ) -> dict[int, VehicleEstimate]:
         """Take a frame. Calls from several threads are taken one after the other.
 
@@ -147,6 +150,7 @@ class Tracker:
             ground: Ground plane in the camera's frame; a number is the height in metres of a level camera.
             motion_covariance: (6, 6) of the camera's motion since the last frame that has a place: rotation in radians,
                 then translation in metres, in this camera's frame (`CameraMotion`); None where it is exact.
+            evidence: What other sensors say of the frame's vehicles, such as `fgrecon.Points` of a scan.
 
         Returns:
             The estimates by id, by this frame and those before; vehicles without one are in `refused`.
@@ -160,20 +164,25 @@ class Tracker:
         used, plane = calibrated("camera", Camera.of(camera)), as_ground(ground)
         place = None if world_T_camera is None else gtsam.Pose3(as_camera_pose(world_T_camera))
         moved = None if motion_covariance is None else as_motion_covariance(motion_covariance)
+        sensed = evidence_of(evidence, used)
         with self._one_call:
             cameras = self._cameras_at(time, used, place)
             # Noise that grows with time must not vanish: frames of one time are a microsecond apart.
             clock = max(time, self._clock + GROUND_FILTER.shortest_s)
             frame = CameraFrame(clock, used, plane, place, moved, self._drift.moved(place, moved))
-            found = self._update(frame, time, observations)
+            found = self._update(frame, time, observations, sensed)
             self._time, self._clock, self._cameras, self._drift = time, clock, cameras, frame.drift
             return found
 
     def _update(
-        self, frame: CameraFrame, time: float, observations: Mapping[int, KeypointsLike]
+        self,
+        frame: CameraFrame,
+        time: float,
+        observations: Mapping[int, KeypointsLike],
+        evidence: Sequence[Evidence],
     ) -> dict[int, VehicleEstimate]:
         """The estimates of a frame's vehicles; whatever is raised, the tracker is what it was."""
-        seen, refused = self._observe(observations, frame.camera)
+        seen, refused = self._observe(observations, frame.camera, evidence)
 
         def look(ground: Ground | None) -> FrameVehicles:
             return look_at_vehicles(seen, frame, ground, self._tracks, self._setup, self._model)
@@ -224,7 +233,7 @@ class Tracker:
         raise InvalidInputError("time", time, fix)
 
     def _observe(
-        self, observations: Mapping[int, KeypointsLike], camera: Camera
+        self, observations: Mapping[int, KeypointsLike], camera: Camera, evidence: Sequence[Evidence]
     ) -> tuple[dict[int, Observation], dict[int, FgreconError]]:
         """The observations as they are solved from, and why others cannot be used."""
         found: dict[int, Observation] = {}
@@ -232,7 +241,8 @@ class Tracker:
         doubts = InputWarnings()
         for name, given in observations.items():
             try:
-                found[name], doubt = observe(given, camera, self._setup.prior.category, self._setup.options)
+                category, options = self._setup.prior.category, self._setup.options
+                found[name], doubt = observe(given, camera, category, options, evidence=evidence)
                 doubts.add(f"vehicle {name}", doubt)
             except FgreconError as error:
                 refused[name] = error

@@ -31,6 +31,7 @@ def weaknesses(
     coefficients: Array,
     box_size: Array,
     ground: Ground | None,
+    points: float = 0.0,
 ) -> tuple[str, ...]:
     """Clauses that say why a result is weak; none where it is not.
 
@@ -42,12 +43,14 @@ def weaknesses(
         coefficients: (N,) shape coefficients.
         box_size: (3,) length, width and height, metres.
         ground: The plane that is given, or None.
+        points: Weight of measured points on its surface.
     """
     found = []
-    if weights.sum() < STATUS.carrying_keypoints:
+    if weights.sum() + points / STATUS.points_a_keypoint < STATUS.carrying_keypoints:
         found.append(f"keypoints of weight {weights.sum():.1f} of {len(weights)} carry it")
-    probable = float(observation.right[observation.measured].mean())
-    if probable < STATUS.right_keypoints:
+    measured = observation.measured
+    probable = float(observation.right[measured].mean()) if measured.any() else 0.0
+    if probable < STATUS.right_keypoints and points < STATUS.carrying_keypoints * STATUS.points_a_keypoint:
         found.append(f"the detector holds {100 * probable:.0f} % of its keypoints right")
     if camera.image_size is not None:
         outside = _outside(camera, camera_T_object, box_size)

@@ -19,6 +19,7 @@ from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.history import Deferred
 from fgrecon.core.reconstruction import Alternative, Iteration
 from fgrecon.solve.proposals.irls import algorithm1
+from fgrecon.solve.proposals.point_search import search_with_points
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import search
 from fgrecon.solve.proposals.search_settings import SETTINGS
@@ -64,6 +65,7 @@ def search_pose(problem: Problem, initial: Box3D | float | Array | None = None) 
     Raises:
         DegenerateProblemError: No start ends in front of the camera, or the weights leave the pose undetermined.
     """
+    whole = problem
     missing = problem.model.prior.dimension - problem.options.search.basis_vectors
     if missing > 0:
         count = problem.options.search.basis_vectors
@@ -71,21 +73,25 @@ def search_pose(problem: Problem, initial: Box3D | float | Array | None = None) 
     if problem.options.strategy.is_paper:
         return _by_algorithm1(problem, missing)
     starts = all_starts(problem, initial)
-    result = search(problem.energy, starts, SETTINGS.iterations, dict(SETTINGS.kept_hypotheses))
+    pictured = problem.energy if whole.energy.points is None else replace(problem.energy, points=None)
+    result = search(pictured, starts, SETTINGS.iterations, dict(SETTINGS.kept_hypotheses))
     if not np.isfinite(result.energy[0]):
         raise DegenerateProblemError("keypoints", "no pose in front of the camera", "Check intrinsics, box and points.")
-    best = result.poses
+    found, energies, weights = result.hypotheses, result.energy, result.weights
+    found = replace(found, coefficients=_padded(found.coefficients, missing))
+    if whole.energy.points is not None:
+        with_points = search_with_points(whole, found)
+        found, energies, weights = with_points.hypotheses, with_points.energy, with_points.weights
+    best, coefficients = found.matrices(), found.coefficients
     visibility = problem.energy.visible_from(best[0])
-    coefficients = _padded(result.hypotheses.coefficients, missing)
     return PoseEstimate(
         camera_T_object=best[0],
         coefficients=coefficients[0],
-        weights=result.weights[0],
+        weights=weights[0],
         visibility=visibility,
-        energy=float(result.energy[0]),
+        energy=float(energies[0]),
         alternatives=tuple(
-            Alternative(best[i], coefficients[i], float(result.energy[i] - result.energy[0]))
-            for i in distinct(best)[1:]
+            Alternative(best[i], coefficients[i], float(energies[i] - energies[0])) for i in distinct(best)[1:]
         ),
         history=_history(problem, result.path, result.path_weights, missing),
         everywhere=not isinstance(initial, int | float),

@@ -14,6 +14,7 @@ from factors.native import native
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.geometry import exponential
 from fgrecon.core.robust import StrategyName
+from fgrecon.solve.proposals.point_term import PointTerm
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import (
     BoxTerm,
@@ -29,7 +30,7 @@ from fgrecon.solve.vehicle.visibility import VisibilityTable
 
 Array = NDArray[np.float64]
 
-_Summand = BoxTerm | SizeTerm | GroundTerm | DirectionTerm | CoefficientTerm
+_Summand = PointTerm | BoxTerm | SizeTerm | GroundTerm | DirectionTerm | CoefficientTerm
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class PoseEnergy:
         size: Size term, or None.
         ground: Ground term, or None.
         direction: Term of the direction that the vehicle is observed from, or None.
+        points: Term of measured points, or None.
     """
 
     keypoints: KeypointTerm
@@ -51,6 +53,7 @@ class PoseEnergy:
     size: SizeTerm | None = None
     ground: GroundTerm | None = None
     direction: DirectionTerm | None = None
+    points: PointTerm | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """What it is made of; another process compiles it again."""
@@ -72,7 +75,8 @@ class PoseEnergy:
     @property
     def others(self) -> Iterator[_Summand]:
         """The terms beside the keypoints' that there are."""
-        yield from (term for term in (self.box, self.size, self.ground, self.direction) if term is not None)
+        terms = self.box, self.size, self.ground, self.direction, self.points
+        yield from (term for term in terms if term is not None)
         yield CoefficientTerm()
 
     def evaluate(self, h: Hypotheses, progress: float = 1.0) -> tuple[Quadratic, Array]:
@@ -84,13 +88,14 @@ class PoseEnergy:
         return total, weights
 
     def truncated(self, dimension: int) -> PoseEnergy:
-        """The same energy of the first `dimension` coefficients alone, the others being zero."""
+        """The same energy of the first `dimension` coefficients alone, the others being zero, without points."""
         box, size = self.box, self.size
         return replace(
             self,
             keypoints=replace(self.keypoints, basis=self.keypoints.basis[:dimension]),
             box=None if box is None else replace(box, basis=box.basis[:dimension]),
             size=None if size is None else replace(size, jacobian=size.jacobian[:, :dimension]),
+            points=None,
         )
 
     def energies(self, h: Hypotheses) -> dict[str, Array]:
@@ -135,6 +140,8 @@ def _compile(energy: PoseEnergy) -> Any:
         None if size is None else size.packed,
         None if energy.direction is None else energy.direction.probability,
     )
+    if energy.points is not None:
+        compiled.search_points(energy.points.rows.compiled)
     return compiled
 
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from factors.surface_points import PointOdds
+
 
 @dataclass(frozen=True)
 class RestartSettings:
@@ -59,6 +61,56 @@ class RestartSettings:
     """Searches before the azimuths come again."""
 
 
+_ODDS = PointOdds(vehicle=0.5, span=4.0, before=0.3, through=0.05, deepest=0.5, core=0.85, reach=0.1, reach_sigma=0.12)
+
+
+@dataclass(frozen=True)
+class PointSettings:
+    """Of measured points on a vehicle (`fgrecon.solve.proposals.point_term` and `point_search`).
+
+    Chosen on drive 0000 of KITTI's tracking set, coarsely, where nothing else is said.
+    """
+
+    odds: PointOdds = _ODDS
+    """How probably a point is the vehicle's, and what else it may be."""
+    surface_sigma_m: float = 0.05
+    """Of the surface's own error, added in quadrature: what no shape of the prior can meet."""
+    independent_points: float = 100.0
+    """Of n points n / (1 + n / this) count: the surface's errors are alike in neighbouring places."""
+    common_factor: float = 8.0
+    """By how much less points say of covariances."""
+    most_points: int = 200
+    """Of a vehicle that are used."""
+    least_points: int = 3
+    """Fewer say nothing."""
+    cell_m: float = 0.1
+    """Side of the cells of which one point is used."""
+    frustum_margin: float = 0.1
+    """Of the 2D box's longer side, by which it is enlarged to choose points; not tuned."""
+    heights_m: tuple[float, float] = (1.0, 5.0)
+    """Heights of vehicles that fill a 2D box at the nearest and the farthest depth from which points are taken."""
+    start_quantiles: tuple[float, ...] = (0.1, 0.25, 0.5, 0.75)
+    """Of the points' distances, at which vehicles may begin; not tuned."""
+    start_offsets_m: tuple[float, ...] = (1.0, 2.0)
+    """From there to a vehicle's middle; not tuned."""
+    azimuths: int = 8
+    """All round, where keypoints do not tell how a vehicle is turned."""
+    larger_size_m: tuple[float, ...] = (4.9, 1.85, 2.0)
+    """Length, width and height of a second kind of vehicle to start with: a van."""
+    rough_sigma_m: float = 0.3
+    """Of points at first."""
+    rough_starts: int = 12
+    """Starts that are refined roughly."""
+    rough_iterations: int = 5
+    """Of them."""
+    iterations: int = 5
+    """After those."""
+    kept_from_iteration: int = 2
+    """Iteration from which only the best go on."""
+    kept_hypotheses: int = 4
+    """How many of them."""
+
+
 @dataclass(frozen=True)
 class PoseSearchSettings:
     """Of the search over many poses (`fgrecon.solve.proposals.pose_search` and `search`).
@@ -110,6 +162,8 @@ class PoseSearchSettings:
     """Of the general noise's variance, added to a detector's covariance for what no shape of the prior can meet."""
     direction_meaningless_probability: float = 0.05
     """That the directions of a detector mean nothing: none costs more than its logarithm and a little."""
+    points: PointSettings = PointSettings()
+    """Of measured points."""
     restarts: RestartSettings = RestartSettings()
     """Of the second search."""
 

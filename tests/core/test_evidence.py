@@ -1,0 +1,39 @@
+"""What other sensors say, as it is given."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fgrecon import Observation, Points
+from fgrecon.core.evidence import as_evidence
+from fgrecon.errors import InvalidInputError
+
+
+def test_points_are_kept_as_they_are_given() -> None:
+    given = np.array([[0.0, 1.0, 5.0], [np.nan, 0.0, 1.0], [1.0, 1.0, 6.0]])
+    points = Points(given, [0.1, 0.2, 0.3])
+    assert points.points.tolist() == [[0.0, 1.0, 5.0], [1.0, 1.0, 6.0]]
+    assert np.asarray(points.sigma).tolist() == [0.1, 0.3]
+    assert points.thinned(2).points.tolist() == [[0.0, 1.0, 5.0]]
+
+
+@pytest.mark.parametrize(
+    ("points", "sigma", "named"),
+    [
+        (np.zeros((3, 2)), 0.1, "points"),
+        (np.zeros((3, 3)), 0.0, "points.sigma"),
+        (np.zeros((3, 3)), [0.1, 0.1], "points.sigma"),
+        (np.full((3, 3), 1e6), 0.1, "points"),
+    ],
+)
+def test_bad_points_are_refused(points: np.ndarray, sigma: object, named: str) -> None:
+    with pytest.raises(InvalidInputError, match=f"^{named}"):
+        Points(points, sigma)  # type: ignore[arg-type]
+
+
+def test_evidence_is_a_sequence_of_evidence() -> None:
+    with pytest.raises(InvalidInputError, match=r"^evidence\[0\]"):
+        as_evidence([np.zeros((3, 3))])
+    with pytest.raises(InvalidInputError, match=r"^evidence"):
+        Observation.of(np.zeros((14, 2))).with_evidence([np.zeros((3, 3))])  # type: ignore[list-item]

@@ -1,0 +1,186 @@
+"""Points on a vehicle's surface: rows against numeric derivatives, the compiled rows against numpy, a solve."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.utils.numerical_derivative import numericalDerivative11
+
+from factors import L, X
+from factors.mixture import Form
+from factors.native import native
+from factors.surface_patches import SurfacePatches
+from factors.surface_points import PointOdds, PointRows, SurfacePointsFactor
+
+ODDS = PointOdds(vehicle=0.5, span=4.0, before=0.3, through=0.05, deepest=0.5, core=0.85, reach=0.1, reach_sigma=0.12)
+FACES = np.array(
+    [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
+    ]
+)
+HALF, UP = np.array([2.0, 0.75, 0.9]), np.array([0.0, -0.75, 0.0])
+
+
+def cuboid() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices of a cuboid of 4 x 1.8 x 1.5 m, cut finely, a coefficient that makes it longer and one, higher."""
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+    vertices, faces = signs * HALF + UP, FACES
+    for _ in range(3):
+        corners = vertices[faces]
+        middles = (corners + np.roll(corners, -1, axis=1)) / 2.0
+        base = len(vertices)
+        vertices = np.concatenate([vertices, middles.reshape(-1, 3)])
+        a, b, c = (base + 3 * np.arange(len(faces)) + i for i in range(3))
+        first, second, third = faces.T
+        pieces = ([first, a, c], [a, second, b], [c, b, third], [a, b, c])
+        faces = np.concatenate([np.stack(piece, axis=1) for piece in pieces])
+    basis = np.zeros((2, *vertices.shape))
+    basis[0, :, 0], basis[1, :, 1] = 0.1 * vertices[:, 0], 0.1 * vertices[:, 1]
+    return vertices, basis, faces
+
+
+def measured(rng: np.random.Generator, pose: gtsam.Pose3, count: int = 80) -> np.ndarray:
+    """Points on the sides that the camera sees, and some of the ground and a wall."""
+    local = rng.uniform(-1.0, 1.0, (count, 3)) * HALF + UP
+    sensor = -pose.rotation().matrix().T @ pose.translation()
+    local[: count // 2, 0] = np.sign(sensor[0]) * HALF[0]
+    local[count // 2 :, 2] = np.sign(sensor[2]) * HALF[2]
+    others = np.concatenate(
+        [rng.uniform([-3, 0, -3], [3, 0, 3], (20, 3)), rng.uniform([4, -2, -3], [4, 0, 3], (10, 3))]
+    )
+    local = np.concatenate([local, others])
+    return local @ pose.rotation().matrix().T + pose.translation()
+
+
+POSE = gtsam.Pose3(gtsam.Rot3.Ry(-1.2), np.array([1.0, 1.6, 12.0]))
+
+
+@pytest.fixture(name="rows")
+def _rows() -> PointRows:
+    points = measured(np.random.default_rng(1), POSE)
+    size, basis = np.array([4.0, 1.8, 1.5]), np.array([[0.4, 0.0], [0.0, 0.0], [0.0, 0.15]])
+    patches = SurfacePatches.of(*cuboid())
+    return PointRows(points, np.full(len(points), 0.05), np.zeros(3), patches, size, basis, ODDS, 0.5)
+
+
+def at(rows: PointRows, change: np.ndarray, coefficients: np.ndarray) -> gtsam.Values:
+    """Values near the true pose."""
+    values = gtsam.Values()
+    values.insert(X(0, 0), POSE.retract(change))
+    values.insert(L(0), coefficients)
+    return values
+
+
+CHANGE = np.array([0.01, 0.03, -0.02, 0.05, 0.02, -0.04])
+
+
+@pytest.mark.parametrize("form", [Form.WEIGHTED, Form.MAJORISED])
+def test_the_jacobian_is_the_numeric_one(rows: PointRows, form: Form) -> None:
+    factor = SurfacePointsFactor(rows, X(0, 0), L(0))
+    values = at(rows, CHANGE, np.array([0.3, -0.5]))
+    factor.look(values)
+    factor.form = Form.WEIGHTED
+    _, jacobian = factor(values, want_jacobian=True)
+
+    def residual(key: int, value: object) -> np.ndarray:
+        return factor(_with(values, key, value), want_jacobian=False)[0]
+
+    by_pose = numericalDerivative11(lambda pose: residual(X(0, 0), pose), values.atPose3(X(0, 0)))
+    by_shape = numericalDerivative11(lambda x: residual(L(0), x), values.atVector(L(0)))
+    numeric = np.hstack([by_pose, by_shape])
+    assert jacobian == pytest.approx(numeric, abs=2e-5)
+    factor.form = form
+    rows_at, by = factor(values, want_jacobian=True)
+    assert by is not None
+    gradient = by.T @ rows_at
+    steps = np.eye(8) * 1e-6
+    slope = [
+        (factor.error(_moved(values, step)) - factor.error(_moved(values, -step))) / 2e-6
+        for step in steps
+    ]  # fmt: skip
+    if form is Form.MAJORISED:
+        assert gradient == pytest.approx(np.array(slope), rel=1e-4, abs=1e-3)
+
+
+def _with(values: gtsam.Values, key: int, value: object) -> gtsam.Values:
+    other = gtsam.Values(values)
+    other.update(key, value)
+    return other
+
+
+def _moved(values: gtsam.Values, step: np.ndarray) -> gtsam.Values:
+    other = gtsam.Values(values)
+    other.update(X(0, 0), values.atPose3(X(0, 0)).retract(step[:6]))
+    other.update(L(0), values.atVector(L(0)) + step[6:])
+    return other
+
+
+@pytest.mark.skipif(native("factors._points") is None, reason="no compiled kernel")
+def test_the_compiled_rows_are_those_of_numpy(rows: PointRows) -> None:
+    plain = replace(rows)
+    plain.__dict__["compiled"] = None
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        pose = POSE.retract(rng.normal(0.0, 0.2, 6))
+        state = pose.rotation().matrix(), pose.translation(), rng.normal(0.0, 1.0, 2)
+        match, other = rows.match(*state), plain.match(*state)
+        assert (match.patch == other.patch).all()
+        assert match.right == pytest.approx(other.right, abs=1e-12)
+        assert match.wrong == pytest.approx(other.wrong, abs=1e-12)
+        (off, by), (other_off, other_by) = (one.distances(match, *state, want=True) for one in (rows, plain))
+        assert off == pytest.approx(other_off, abs=1e-9)
+        assert by == pytest.approx(other_by, abs=1e-9)
+
+
+def test_points_bring_a_vehicle_to_its_place_and_size(rows: PointRows) -> None:
+    longer = measured(np.random.default_rng(3), POSE)
+    factor = SurfacePointsFactor(replace(rows, points=longer), X(0, 0), L(0))
+    values = at(rows, np.array([0.0, 0.05, 0.0, 0.1, 0.05, -0.1]), np.zeros(2))
+    for _ in range(15):
+        factor.look(values)
+        graph = gtsam.NonlinearFactorGraph()
+        factor.form = Form.MAJORISED
+        graph.add(factor.factor)
+        graph.add(gtsam.PriorFactorVector(L(0), np.zeros(2), gtsam.noiseModel.Isotropic.Sigma(2, 1.0)))
+        graph.add(gtsam.PriorFactorPose3(X(0, 0), values.atPose3(X(0, 0)), gtsam.noiseModel.Isotropic.Sigma(6, 0.2)))
+        values = values.retract(graph.linearize(values).optimize())
+    off = POSE.localCoordinates(values.atPose3(X(0, 0)))
+    assert np.abs(off[:3]).max() < 0.02
+    assert np.abs(off[3:]).max() < 0.12  # half of a length that is not known
+    assert factor.weights[:80].mean() > 0.8
+    assert factor.weights[80:].mean() < 0.1
+
+
+def test_points_far_inside_or_behind_cost_more_than_those_beside(rows: PointRows) -> None:
+    beside, behind = np.array([[4.0, 0.0, 12.0]]), np.array([[1.3, 1.0, 20.0]])
+    energies = []
+    for points in (beside, behind):
+        one = replace(rows, points=points, sigma=np.array([0.05]))
+        state = POSE.rotation().matrix(), POSE.translation(), np.zeros(2)
+        match = one.match(*state)
+        energies.append(one.assess(match, one.distances(match, *state, want=False)[0])[1])
+    assert energies[1] - energies[0] == pytest.approx(0.5 * np.log(1.0 / ODDS.through), rel=1e-3)
+
+
+def test_constants_are_no_variables(rows: PointRows) -> None:
+    values = at(rows, CHANGE, np.zeros(2))
+    whole = SurfacePointsFactor(rows, X(0, 0), L(0))
+    held = SurfacePointsFactor(rows, X(0, 0), np.zeros(2))
+    assert held.keys == (X(0, 0),)
+    expected = whole(values, want_jacobian=True)[1]
+    assert expected is not None
+    assert held(values, want_jacobian=True)[1] == pytest.approx(expected[:, :6])

@@ -1,0 +1,175 @@
+"""Vehicles with measured points: where the picture alone is metres off, and where there is hardly a picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from factors import L, X
+from factors.mixture import Form
+from fgrecon import (
+    Camera,
+    Observation,
+    Options,
+    Points,
+    Tracker,
+    reconstruct,
+    reconstruct_scene,
+    reconstruct_track,
+)
+from fgrecon.core.geometry import yaw_rotation
+from fgrecon.errors import InvalidInputError
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.graph.graph import GraphObservation
+from fgrecon.solve.graph.multi_start import minimise_from_proposals
+from fgrecon.solve.inputs import SolveSetup
+from fgrecon.solve.proposals.pose_search import search_pose
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.vehicle.visibility import clearance, probability
+
+CAMERA = Camera.of(np.array([[700.0, 0.0, 600.0], [0.0, 700.0, 180.0], [0.0, 0.0, 1.0]]))
+PRIOR = load_prior("car14")
+SHAPE = np.array([1.5, -1.0, 0.3, 0.2, -0.4])
+
+
+def scanned(yaw: float, place: np.ndarray, seed: int = 0, count: int = 120) -> tuple[Observation, np.ndarray]:
+    """A car larger than the mean: what a network says of it, and a scan of it, of the road and of a wall."""
+    rng = np.random.default_rng(seed)
+    rotation, surface = yaw_rotation(yaw), PRIOR.surface
+    assert surface is not None
+    vertices, centre = surface.vertices(SHAPE), -rotation.T @ place
+    corners = vertices[surface.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    shown = np.flatnonzero(((centre - corners.mean(axis=1)) * normals).sum(axis=1) > 0.0)
+    share = rng.dirichlet(np.ones(3), count)
+    local = (corners[rng.choice(shown, count)] * share[:, :, None]).sum(axis=1)
+    road = rng.uniform([-4.0, 0.0, -4.0], [4.0, 0.0, 4.0], (60, 3))
+    wall = rng.uniform([-9.0, -3.0, 0.0], [9.0, 0.0, 0.5], (40, 3)) + np.array([0.0, 0.0, 6.0])
+    points = np.concatenate([local @ rotation.T, road, wall]) + place
+    keypoints = PRIOR.keypoints(SHAPE)
+    seen = probability(clearance(vertices, surface.faces, keypoints, centre))
+    pixels = CAMERA.project(keypoints @ rotation.T + place) + rng.normal(0.0, 1.5, (14, 2))
+    outline = CAMERA.project(vertices @ rotation.T + place)
+    box = np.concatenate([outline.min(axis=0), outline.max(axis=0)])
+    points += 0.02 * rng.normal(0.0, 1.0, (len(points), 3))
+    return Observation.of(pixels, np.where(seen > 0.5, 0.9, 0.1), box), points
+
+
+PLACE = np.array([2.0, 1.65, 18.0])
+OPTIONS = Options(keep_history=False)
+
+
+@pytest.mark.parametrize("yaw", [-1.5, -0.8, 0.4, 2.2])
+def test_points_tell_the_depth(yaw: float) -> None:
+    observation, points = scanned(yaw, PLACE)
+    alone = reconstruct(observation, CAMERA, ground=1.65, size_prior="kitti", options=OPTIONS)
+    sensed = reconstruct(
+        observation, CAMERA, ground=1.65, size_prior="kitti", options=OPTIONS, evidence=[Points(points)]
+    )
+    assert np.linalg.norm(alone.location - PLACE) > 0.8  # a larger car than the fleet's mean is nearer by the picture
+    assert np.linalg.norm(sensed.location - PLACE) < 0.3
+    weights, looked_at = sensed.diagnostics.point_weights, sensed.diagnostics.points
+    assert weights.shape == (len(looked_at),)
+    assert 40 < weights.sum() < 120
+    assert sensed.diagnostics.energies["points"] > 0.0
+    assert not len(alone.diagnostics.points)
+    covariance, before = sensed.uncertainty.pose_covariance, alone.uncertainty.pose_covariance
+    assert covariance is not None
+    assert before is not None
+    assert np.trace(covariance[3:, 3:]) < 0.5 * np.trace(before[3:, 3:])
+
+
+def test_a_step_of_the_result_does_not_lower_the_energy() -> None:
+    """Scipy's minimiser, from the result on, finds nothing lower in the energy of pose and shape."""
+    observation, points = scanned(0.4, PLACE)
+    setup = SolveSetup.of("car14", "kitti", OPTIONS, 1.65)
+    problem = Problem.of(replace(observation, evidence=(Points(points),)), CAMERA, setup.model, setup.ground, OPTIONS)
+    start = search_pose(problem)
+    adjusted = minimise_from_proposals([GraphObservation(problem)], [start])
+    graph, values, weights = adjusted.graph, adjusted.optimum.values, adjusted.optimum.state.weights
+    graph.look(values)
+    graph.step(values, weights, Form.NEWTON)
+    keys = [X(0, 0), L(0)]
+
+    def energy(step: np.ndarray) -> float:
+        moved = gtsam.Values(values)
+        moved.update(keys[0], values.atPose3(keys[0]).retract(step[:6]))
+        moved.update(keys[1], values.atVector(keys[1]) + step[6:])
+        return graph.error(moved)
+
+    found = minimize(energy, np.zeros(11), method="BFGS")
+    assert energy(np.zeros(11)) - found.fun < 1e-3
+    assert np.abs(found.x[:6]).max() < 2e-3
+
+
+def test_a_vehicle_without_keypoints() -> None:
+    observation, points = scanned(-0.8, PLACE)
+    none = replace(observation, keypoints=np.full((14, 2), np.nan), evidence=(Points(points),))
+    found = reconstruct(none, CAMERA, ground=1.65, size_prior="kitti", options=OPTIONS)
+    assert np.linalg.norm(found.location - PLACE) < 0.5
+    turn = abs((found.rotation_y + 0.8 + np.pi / 2.0) % np.pi - np.pi / 2.0)  # which way it faces nobody says
+    assert turn < np.deg2rad(6.0)
+
+
+def test_vehicles_of_an_image_with_one_scan_and_a_factor_of_ones_own() -> None:
+    one, points = scanned(-1.5, PLACE)
+    other_place = np.array([-3.0, 1.65, 14.0])
+    other, more = scanned(-1.4, other_place, seed=1)
+    scan = Points(np.concatenate([points, more]))
+    found = reconstruct_scene([one, other], CAMERA, ground=1.65, size_prior="kitti", options=OPTIONS, evidence=[scan])
+    for vehicle, place in zip(found.vehicles, (PLACE, other_place), strict=True):
+        assert np.linalg.norm(vehicle.location - place) < 0.35
+    pulled = gtsam.Pose3(gtsam.Rot3(yaw_rotation(-1.5)), PLACE + np.array([0.5, 0.0, 0.0]))
+    factor = gtsam.PriorFactorPose3(X(0, 0), pulled, gtsam.noiseModel.Isotropic.Sigma(6, 1e-3))
+    held = reconstruct_scene(
+        [one, other], CAMERA, ground=1.65, size_prior="kitti", options=OPTIONS, extra_factors=[factor]
+    )
+    assert held.vehicles[0].location == pytest.approx(pulled.translation(), abs=0.02)
+
+
+def test_over_images_and_over_time() -> None:
+    places = [PLACE + np.array([0.0, 0.0, 0.5 * i]) for i in range(3)]
+    frames = [scanned(-1.2, place, seed=i) for i, place in enumerate(places)]
+    track = reconstruct_track(
+        [one for one, _ in frames],
+        CAMERA,
+        ground=1.65,
+        size_prior="kitti",
+        options=OPTIONS,
+        evidence=[[Points(points)] for _, points in frames],
+    )
+    for frame, place in zip(track.frames, places, strict=True):
+        assert np.linalg.norm(frame.location - place) < 0.3
+    tracker = Tracker(size_prior="kitti")
+    for i, (one, points) in enumerate(frames):
+        estimates = tracker.update(i / 10.0, {7: one}, camera=CAMERA, ground=1.65, evidence=[Points(points)])
+    assert np.linalg.norm(estimates[7].reconstruction.location - places[-1]) < 0.3
+
+
+def test_points_of_another_frame_are_refused() -> None:
+    observation, points = scanned(0.4, PLACE)
+    lidar = points[:, [2, 0, 1]] * (1.0, -1.0, -1.0)
+    with pytest.raises(InvalidInputError, match=r"^evidence\[0\].*LiDAR"):
+        reconstruct(observation, replace(CAMERA, image_size=(1242, 375)), evidence=[Points(lidar)])
+    with pytest.raises(InvalidInputError, match="1 for 2 images"):
+        reconstruct_track([observation, observation], CAMERA, evidence=[[]])
+
+
+def test_points_elsewhere_change_nothing() -> None:
+    observation, _ = scanned(0.4, PLACE)
+    elsewhere = Points(np.array([[-8.0, 1.0, 30.0]] * 50))
+    alone = reconstruct(observation, CAMERA, ground=1.65, options=OPTIONS)
+    sensed = reconstruct(observation, CAMERA, ground=1.65, options=OPTIONS, evidence=[elsewhere])
+    assert np.array_equal(alone.camera_T_object, sensed.camera_T_object)
+
+
+def test_points_can_be_left_out_as_any_term() -> None:
+    observation, points = scanned(0.4, PLACE)
+    off = Options(keep_history=False, disabled_terms={*OPTIONS.disabled_terms, "points"})
+    alone = reconstruct(observation, CAMERA, ground=1.65, options=off)
+    sensed = reconstruct(observation, CAMERA, ground=1.65, options=off, evidence=[Points(points)])
+    assert np.array_equal(alone.camera_T_object, sensed.camera_T_object)
