@@ -82,7 +82,7 @@ def refine_command(
     read = [*(image.image for image in files.images if image.image is not None), *files_in(camera.calib)]
     for target in files.targets:
         check_not_over("out", target, read)
-    refiner = Refiner(request)
+    refiner = Refiner(request, files.images)
     done = []
     for image in screen.watch(files.images, "Images"):
         done.append(refiner(image))

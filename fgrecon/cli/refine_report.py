@@ -11,6 +11,7 @@ import numpy as np
 from rich.markup import escape
 
 from fgrecon.cli.terminal import Screen, compact_table
+from fgrecon.core.input_warnings import InputWarnings, camera_warning_of
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.text import counted, printable
 from fgrecon.io.run_settings import camera_to_dict, settings_to_dict
@@ -40,8 +41,11 @@ def show(screen: Screen, done: Sequence[RefinedImage]) -> None:
     for one in done:
         if one.error is not None:
             screen.warn(f"{one.image.name}: the boxes stay as they are: {one.error}")
-    if any(box.message.endswith(CENTRES) for _, _, box in rows):
+    if rows and all(box.message.endswith(CENTRES) for _, _, box in rows):
         screen.warn(CENTRES)
+    cameras = {one.image.name: camera_warning_of(one.camera) for one in done if one.camera is not None}
+    for warning in InputWarnings.of(cameras).lines():
+        screen.warn(warning)
     changed = [box for _, _, box in rows if box.changed]
     flipped = sum(box.flipped for box in changed)
     screen.print(

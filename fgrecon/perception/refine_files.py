@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.box3d import BoxErrors
+from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera
 from fgrecon.core.choices import BoxOrigin
 from fgrecon.core.errors import FgreconError, InvalidInputError
@@ -28,7 +29,8 @@ from fgrecon.io.nuscenes_detections import Submission, is_submission, read_submi
 from fgrecon.io.run_settings import RunSettings
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
-from fgrecon.solve.box_origin import with_origin
+from fgrecon.solve.box_origin import CENTRES, on_bottom, stand_on_centres, with_origin
+from fgrecon.solve.inputs import as_ground
 
 KINDS = "Car", "Van"
 """Types of objects that are refined, in capitals or not."""
@@ -96,31 +98,39 @@ class RefinedImage:
 
 
 class Refiner:
-    """Refines image after image; the network is loaded once."""
+    """Refines image after image; the network is loaded once.
 
-    def __init__(self, request: RefineRequest) -> None:
-        """Take what holds for all images; nothing is loaded."""
+    Attributes:
+        request: What holds for all images.
+        centres: Whether the boxes of all images together seem to be given by their centres: none is refined then.
+    """
+
+    def __init__(self, request: RefineRequest, images: Sequence[BoxedImage[Any]]) -> None:
+        """Judge the boxes of all images together; no image is read.
+
+        Args:
+            request: What holds for all images.
+            images: Those that are to be refined.
+        """
         self.request = request
+        together: list[Box3D] = []
+        for image in images:
+            with suppress(FgreconError):  # is said when its turn comes
+                _, _, boxed = self._boxes(image)
+                together += on_bottom([box for _, box in boxed], self._origin(image))
+        self.centres = stand_on_centres(together, as_ground(request.settings.ground))
 
     def __call__(self, image: BoxedImage[Boxed]) -> RefinedImage:
         """Refine an image's boxes; one that cannot be used keeps them, and says why."""
-        nowhere = np.zeros(3)
-        if image.image is None:
-            missing = InvalidInputError("images", f"none of {image.name}", "Give its image.")
-            return RefinedImage(image, None, nowhere, (), missing)
+        origin = self._origin(image)
         try:
-            camera, offset = self._camera(image.image)
-            boxed = [
-                (line, box)
-                for line in image.objects
-                if line.kind.capitalize() in KINDS
-                and line.score >= self.request.min_score
-                and (box := line.box(offset)) is not None
-            ]
+            camera, offset, boxed = self._boxes(image)
+            if self.centres:
+                kept = [(line, RefinedBox(box, box, f"Unchanged: {CENTRES}")) for line, box in boxed]
+                return RefinedImage(image, camera, offset, tuple(kept), box_origin=origin)
+            assert image.image is not None
             pixels = read_image(image.image)
             sized = camera.with_size_of(pixels)
-            of_lines = all(isinstance(line, BoxLine) for line in image.objects)
-            origin = self.request.box_origin if of_lines else BoxOrigin.BOTTOM
             with summed_up():
                 refined = refine_boxes(
                     pixels,
@@ -133,9 +143,32 @@ class Refiner:
                     **self.request.settings.arguments(),
                 )
         except FgreconError as error:
-            return RefinedImage(image, None, nowhere, (), error)
+            return RefinedImage(image, None, np.zeros(3), (), error)
         lines = [line for line, _ in boxed]
         return RefinedImage(image, sized, offset, tuple(zip(lines, refined, strict=True)), box_origin=origin)
+
+    def _origin(self, image: BoxedImage[Any]) -> BoxOrigin:
+        """What the locations of an image's boxes are."""
+        of_lines = all(isinstance(line, BoxLine) for line in image.objects)
+        return self.request.box_origin if of_lines else BoxOrigin.BOTTOM
+
+    def _boxes(self, image: BoxedImage[Any]) -> tuple[Camera, NDArray[np.float64], list[tuple[Any, Box3D]]]:
+        """The camera of an image, where the labels' frame is from its own, and the boxes that are refined.
+
+        Raises:
+            FgreconError: There is no image, or its camera cannot be read.
+        """
+        if image.image is None:
+            raise InvalidInputError("images", f"none of {image.name}", "Give its image.")
+        camera, offset = self._camera(image.image)
+        boxed = [
+            (line, box)
+            for line in image.objects
+            if line.kind.capitalize() in KINDS
+            and line.score >= self.request.min_score
+            and (box := line.box(offset)) is not None
+        ]
+        return camera, offset, boxed
 
     @cached_property
     def _network(self) -> KeypointCascade:

@@ -15,16 +15,17 @@ from fgrecon.core.errors import InvalidInputError
 __all__ = ["CENTRES", "BoxOrigin", "on_bottom", "stand_on_centres", "with_origin"]
 
 CENTRES = (
-    "All boxes stand about half their height above the given ground, as boxes do that are given by their centres. "
+    "Boxes stand about half their height above the given ground, as boxes do that are given by their centres. "
     "If they are, say so (--box-origin centre, box_origin); else give another ground, or none."
 )
 
 _DOWN = np.array([0.0, 1.0, 0.0])  # in the camera's frame
-_NATS = 8.0
-"""By which centres explain the heights better; not tuned. No image of 12,216 (KITTI labels, made-up results, 25 frames
-of one detector) has it with the other two; of these images raised to centres 23 % have."""
-_NEAR = 0.25  # by which the median height above the ground may differ from half of the boxes', as a share
-_LEAST = 0.25  # of its height: so far above the ground is every box
+# Chosen on labels of KITTI. Raised to their centres, boxes are so noticed in 53 % of 600 images, in 97 % of as many
+# groups of five and in all of 25; in all eleven of its tracking drives, and those of 25 frames of a detector. As they
+# are: in one of the 600 images, in none of all others.
+_NATS = 4.0  # by which boxes at the median could tell the two
+_HALVES = 0.6, 1.5  # the median height above the ground, in halves of the boxes' heights
+_LEAST, _SHARE = 0.25, 0.75  # of a box's height: so far above the ground is so large a share of them
 _HEIGHT_SIGMA, _SLOPE_SIGMA = 0.15, 0.02  # metres, and radians: of boxes and roads together
 
 
@@ -56,18 +57,21 @@ def with_origin(box: Box3D, origin: BoxOrigin) -> Box3D:
 
 
 def stand_on_centres(boxes: Sequence[Box3D], ground: Ground | None) -> bool:
-    """Whether boxes of known size stand half their height above a ground, all of them.
+    """Whether boxes of known size stand half their height above a ground; near ones, which tell more, count for more.
 
     Args:
-        boxes: By what should be the centres of their bottom faces, in the camera's frame.
+        boxes: By what should be the centres of their bottom faces, in the camera's frame; of one image or many, of
+            cameras that the ground is under alike.
         ground: The given ground; without one nothing is known.
     """
     sized = [(box.location, box.size[2]) for box in boxes if box.size is not None]
     if ground is None or not sized:
         return False
-    places, heights = np.array([place for place, _ in sized]), np.array([height for _, height in sized])
-    above = ground.distance - places @ ground.normal
-    sigma = np.hypot(_HEIGHT_SIGMA, _SLOPE_SIGMA * places[:, 2])
-    gain = float(np.sum((above**2 - (above - heights / 2.0) ** 2) / (2.0 * sigma**2)))
-    ratio = float(np.median(above / (heights / 2.0)))
-    return bool((above > _LEAST * heights).all()) and abs(ratio - 1.0) < _NEAR and gain > _NATS
+    places, halves = np.array([place for place, _ in sized]), np.array([height for _, height in sized]) / 2.0
+    ratios = (ground.distance - places @ ground.normal) / halves
+    nats = 0.5 * (halves / np.hypot(_HEIGHT_SIGMA, _SLOPE_SIGMA * places[:, 2])) ** 2
+    order = np.argsort(ratios)
+    before = np.cumsum(nats[order])
+    median = float(ratios[order][np.searchsorted(before, 0.5 * before[-1])])
+    share = float(nats[ratios > 2.0 * _LEAST].sum() / before[-1])
+    return bool(before[-1] > _NATS and _HALVES[0] < median < _HALVES[1] and share > _SHARE)

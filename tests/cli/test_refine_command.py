@@ -96,6 +96,55 @@ def test_folders_and_tracking_lines(sample, tmp_path):
     assert [line.split()[2:] for line in refined] == [line.split() for line in single]
 
 
+def raised(text):
+    """Lines of boxes with the heights of their centres."""
+    lines = []
+    for line in text.splitlines():
+        cells = line.split()
+        cells[12] = f"{float(cells[12]) - float(cells[8]) / 2.0:.4f}"
+        lines.append(" ".join(cells))
+    return "\n".join(lines) + "\n"
+
+
+def test_boxes_by_their_centres_are_asked_about(sample, tmp_path):
+    bottoms = (sample / "detections.txt").read_text()
+    boxes, images = tmp_path / "boxes", tmp_path / "images"
+    boxes.mkdir()
+    images.mkdir()
+    lines = raised(bottoms).splitlines(keepends=True)
+    for number, line in enumerate(lines):  # none says enough by itself where it is far away
+        (boxes / f"{number}.txt").write_text(line)
+        shutil.copy(sample / "street.png", images / f"{number}.png")
+    how = "--calib", sample / "calib.txt", "--camera-height", 1.65
+    done = run("refine", boxes, images, *how, "--out", tmp_path / "kept")
+    assert done.exit_code == 1, done.output
+    assert done.stderr.count("Boxes stand about half their height above the given ground") == 1
+    assert "--box-origin centre" in done.stderr
+    assert [(tmp_path / "kept" / f"{number}.txt").read_text() for number in range(len(lines))] == lines
+
+
+def test_boxes_by_their_centres_are_refined_as_those_by_bottoms(sample, tmp_path):
+    bottoms = (sample / "detections.txt").read_text()
+    centres = tmp_path / "centres.txt"
+    centres.write_text(raised(bottoms))
+    how = sample / "street.png", "--calib", sample / "calib.txt", "--camera-height", 1.65
+    done = run("refine", centres, *how, "--box-origin", "centre", "--out", tmp_path / "centres-out.txt")
+    assert done.exit_code == 0, done.output
+    assert "half their height" not in done.stderr
+    assert run("refine", sample / "detections.txt", *how, "--out", tmp_path / "bottoms-out.txt").exit_code == 0
+    for one, other in zip(
+        read_box_lines(tmp_path / "centres-out.txt"), read_box_lines(tmp_path / "bottoms-out.txt"), strict=True
+    ):
+        size = other.box(np.zeros(3)).size
+        assert one.location == pytest.approx(other.location - [0.0, size[2] / 2.0, 0.0], abs=0.011)
+
+
+def test_a_camera_of_another_size_is_warned_of(sample, tmp_path):
+    out = tmp_path / "out.txt"
+    given = sample / "detections.txt", sample / "street.png", "--intrinsics", "360,360,305,86.5", "--out", out
+    assert "middle of an image of another size" in run("refine", *given).stderr
+
+
 def test_low_scores_stay_and_none_is_a_failure(sample, tmp_path):
     out = tmp_path / "out.txt"
     given = sample / "detections.txt", sample / "street.png", "--calib", sample / "calib.txt", "--out", out
