@@ -15,30 +15,30 @@ from fgrecon.solve.track import TrackReconstruction
 from fgrecon.viz.outcomes import HEADINGS, cells_of, clause_of, message_of
 
 _ROWS = 300  # vehicles that the table has at most: it is for eyes, and slow to lay out
-_WIDE = 130  # columns of the terminal that leave it that room
+_NAMED = 8  # vehicles with the same message that are named with it
 
 
 def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
-    """One row per vehicle, refused ones included; messages in the last column, or below where there is no room.
+    """One row per vehicle, refused ones included; messages are below.
 
     A verbose screen has whole messages below, with energies and times. Of very many vehicles the first are shown.
     """
     if screen.quiet:
         return
     outcomes, others = outcomes[:_ROWS], outcomes[_ROWS:]
-    wide = screen.console.width >= _WIDE and any(map(clause_of, outcomes))
     table = compact_table(*HEADINGS, text=("id", "status"), no_wrap=True, overflow="fold")
-    if wide:
-        table.add_column("message", overflow="fold")
     for outcome in outcomes:
-        cells = cells_of(outcome)
-        table.add_row(*(escape(printable(cell)) for cell in (cells if wide else cells[:-1])))
+        table.add_row(*(escape(printable(cell)) for cell in cells_of(outcome)[:-1]))
     screen.print(table)
+    clauses: dict[str, list[str]] = {}
     for outcome in outcomes:
         if screen.verbose:
             screen.print(f"{outcome.name}: {message_of(outcome)}", *details(outcome.result))
-        elif not wide and (clause := clause_of(outcome)):
-            screen.print(f"{outcome.name}: {clause}")
+        elif clause := clause_of(outcome):
+            clauses.setdefault(clause, []).append(outcome.name)
+    for clause, names in clauses.items():
+        listed = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+        screen.print(f"{listed}: {clause}")
     for outcome in outcomes:
         if outcome.closest is not None:
             screen.print(f"{outcome.name}: closest model {printable(str(outcome.closest))}.")

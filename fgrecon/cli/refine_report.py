@@ -16,33 +16,38 @@ from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.text import counted, printable
 from fgrecon.io.run_settings import camera_to_dict, settings_to_dict
 from fgrecon.perception.refine_files import RefinedImage, RefineRequest
-from fgrecon.solve.box_origin import CENTRES
+from fgrecon.solve.box_origin import BOTTOMS, CENTRES
 
 FORMAT = "fgrecon.refined-boxes/1"
 
 _SHOWN = 40  # boxes in the table of several images, without --verbose
-_HEADINGS = "image", "line", "type", "at m", "moved m", "± m", "turned °", "± °", "l, w, h by cm", "facing %"
+_HEADINGS = "box", "at m", "moved m", "turned °", "l, w, h cm", "facing %", "status"
 
 
 def show(screen: Screen, done: Sequence[RefinedImage]) -> None:
     """A row for each box, the first ones of several images; what could not be used; and how many were refined."""
     rows = [(one, line, box) for one in done for line, box in one.boxes]
     shown = rows if screen.verbose or len(done) == 1 else rows[:_SHOWN]
-    table = compact_table(*_HEADINGS, text=("image", "type"), no_wrap=True)
-    table.add_column("")
+    table = compact_table(*_HEADINGS, text=("box", "status"), no_wrap=True)
+    several = len(done) > 1
+    kept: dict[str, list[str]] = {}
     for one, line, box in shown:
-        table.add_row(
-            *(escape(printable(cell)) for cell in (one.image.name, str(line.number), line.kind, *_cells(box)))
-        )
+        name = f"{one.image.name}:{line.number}" if several else str(line.number)
+        table.add_row(*(escape(printable(cell)) for cell in (name, *_cells(box))))
+        if not box.changed and not box.message.endswith((CENTRES, BOTTOMS)):  # which are warned of
+            kept.setdefault(box.message, []).append(name)
     if shown:
         screen.print(table)
+    for message, names in kept.items():
+        screen.print(escape(printable(f"{', '.join(names)}: {message}")))
     if len(shown) < len(rows):
         screen.print(f"{len(rows) - len(shown)} more: --verbose lists them, --json writes them.")
     for one in done:
         if one.error is not None:
             screen.warn(f"{one.image.name}: the boxes stay as they are: {one.error}")
-    if rows and all(box.message.endswith(CENTRES) for _, _, box in rows):
-        screen.warn(CENTRES)
+    for contradiction in (CENTRES, BOTTOMS):
+        if rows and all(box.message.endswith(contradiction) for _, _, box in rows):
+            screen.warn(contradiction)
     cameras = {one.image.name: camera_warning_of(one.camera) for one in done if one.camera is not None}
     for warning in InputWarnings.of(cameras).lines():
         screen.warn(warning)
@@ -58,19 +63,17 @@ def _cells(box: RefinedBox) -> tuple[str, ...]:
     at = f"{np.linalg.norm(box.given.location):.1f}"
     covariance, yaw = box.location_covariance, box.yaw_sigma
     if not box.changed or covariance is None or yaw is None:
-        return at, "", "", "", "", "", "", box.message
+        return at, "", "", "", "", "unchanged"
     size = ""
     if box.box.size is not None and box.given.size is not None:
         size = ", ".join(f"{100.0 * change:+.0f}" for change in box.box.size - box.given.size)
     return (
         at,
-        f"{np.linalg.norm(box.moved):.2f}",
-        f"{np.sqrt(np.linalg.eigvalsh(covariance)[-1]):.2f}",
-        f"{np.degrees(box.turn):.1f}",
-        f"{np.degrees(yaw):.1f}",
+        f"{np.linalg.norm(box.moved):.2f} ± {np.sqrt(np.linalg.eigvalsh(covariance)[-1]):.2f}",
+        f"{np.degrees(box.turn):.1f} ± {np.degrees(yaw):.1f}",
         size,
         "" if np.isnan(box.facing_probability) else f"{100.0 * box.facing_probability:.0f}",
-        "" if box.result is None or box.result.status.value == "converged" else box.result.status.value,
+        "" if box.result is None else box.result.status.value,
     )
 
 

@@ -25,7 +25,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX, as_rgb8, large_enough, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, find_keypoints
-from fgrecon.solve.box_origin import CENTRES, BoxOrigin, on_bottom, stand_on_centres
+from fgrecon.solve.box_origin import BoxOrigin, contradicted_origin, on_bottom
 from fgrecon.solve.inputs import as_ground
 from fgrecon.solve.refine import refined
 from fgrecon.solve.scene import reconstruct_scene
@@ -68,20 +68,20 @@ def refine_boxes(
             boxes, which then have sizes. Results have bottom faces.
 
     Returns:
-        What became of each box, in order. None is refined where all stand half their height above a given ground, as
-        boxes do that are given by their centres.
+        What became of each box, in order. None is refined where they stand half their height above a given ground, as
+        boxes do that are given by their centres, or as much below it.
 
     Raises:
         InvalidInputError: An argument cannot be used; names it, its value and the fix.
 
     Warns:
-        ContradictoryInputWarning: The boxes seem to be given by their centres.
+        ContradictoryInputWarning: The boxes seem to have another origin than `box_origin`.
     """
     errors = BoxErrors() if box_errors is None else as_instance("box_errors", box_errors, BoxErrors)
     boxes = on_bottom(as_list("boxes", boxes, Box3D), BoxOrigin(box_origin))
-    if stand_on_centres(boxes, as_ground(ground)):
-        warn(CENTRES, stacklevel=2)
-        return [RefinedBox(box, box, f"Unchanged: {CENTRES}") for box in boxes]
+    if contradiction := contradicted_origin(boxes, as_ground(ground), BoxOrigin(box_origin)):
+        warn(contradiction, stacklevel=2)
+        return [RefinedBox(box, box, f"Unchanged: {contradiction}") for box in boxes]
     if options is None:
         options = Options(box=BoxOptions(model=BoxModel.CUBOID), keep_history=False)
     settings = checked_options(options, joint=True)

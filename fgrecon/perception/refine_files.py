@@ -29,7 +29,7 @@ from fgrecon.io.nuscenes_detections import Submission, is_submission, read_submi
 from fgrecon.io.run_settings import RunSettings
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
-from fgrecon.solve.box_origin import CENTRES, on_bottom, stand_on_centres, with_origin
+from fgrecon.solve.box_origin import contradicted_origin, on_bottom, with_origin
 from fgrecon.solve.inputs import as_ground
 
 KINDS = "Car", "Van"
@@ -102,7 +102,8 @@ class Refiner:
 
     Attributes:
         request: What holds for all images.
-        centres: Whether the boxes of all images together seem to be given by their centres: none is refined then.
+        contradiction: What to say of the boxes of all images together if they seem to have another origin than is said
+            of them: none is refined then.
     """
 
     def __init__(self, request: RefineRequest, images: Sequence[BoxedImage[Any]]) -> None:
@@ -113,20 +114,23 @@ class Refiner:
             images: Those that are to be refined.
         """
         self.request = request
-        together: list[Box3D] = []
+        together: dict[BoxOrigin, list[Box3D]] = {}
         for image in images:
             with suppress(FgreconError):  # is said when its turn comes
                 _, _, boxed = self._boxes(image)
-                together += on_bottom([box for _, box in boxed], self._origin(image))
-        self.centres = stand_on_centres(together, as_ground(request.settings.ground))
+                origin = self._origin(image)
+                together.setdefault(origin, []).extend(on_bottom([box for _, box in boxed], origin))
+        ground = as_ground(request.settings.ground)
+        found = (contradicted_origin(boxes, ground, origin) for origin, boxes in together.items())
+        self.contradiction = next(filter(None, found), None)
 
     def __call__(self, image: BoxedImage[Boxed]) -> RefinedImage:
         """Refine an image's boxes; one that cannot be used keeps them, and says why."""
         origin = self._origin(image)
         try:
             camera, offset, boxed = self._boxes(image)
-            if self.centres:
-                kept = [(line, RefinedBox(box, box, f"Unchanged: {CENTRES}")) for line, box in boxed]
+            if self.contradiction is not None:
+                kept = [(line, RefinedBox(box, box, f"Unchanged: {self.contradiction}")) for line, box in boxed]
                 return RefinedImage(image, camera, offset, tuple(kept), box_origin=origin)
             assert image.image is not None
             pixels = read_image(image.image)

@@ -12,11 +12,16 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.choices import BoxOrigin
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["CENTRES", "BoxOrigin", "on_bottom", "stand_on_centres", "with_origin"]
+__all__ = ["BOTTOMS", "CENTRES", "BoxOrigin", "contradicted_origin", "on_bottom", "with_origin"]
 
 CENTRES = (
     "Boxes stand about half their height above the given ground, as boxes do that are given by their centres. "
     "If they are, say so (--box-origin centre, box_origin); else give another ground, or none."
+)
+BOTTOMS = (
+    "Boxes stand about half their height below the given ground, as boxes do that are given by the centres of their "
+    "bottom faces and not by their own. If they are, say so (--box-origin bottom, box_origin); else give another "
+    "ground, or none."
 )
 
 _DOWN = np.array([0.0, 1.0, 0.0])  # in the camera's frame
@@ -56,22 +61,29 @@ def with_origin(box: Box3D, origin: BoxOrigin) -> Box3D:
     return replace(box, location=box.location - box.size[2] / 2.0 * _DOWN)
 
 
-def stand_on_centres(boxes: Sequence[Box3D], ground: Ground | None) -> bool:
-    """Whether boxes of known size stand half their height above a ground; near ones, which tell more, count for more.
+def contradicted_origin(boxes: Sequence[Box3D], ground: Ground | None, origin: BoxOrigin) -> str | None:
+    """What to say of boxes of known size that by the ground have another origin than is said of them; None of others.
+
+    They stand half their height above it if they are given by their centres, and as much below it if they are not and
+    were said to be. Near ones, which tell more, count for more.
 
     Args:
         boxes: By what should be the centres of their bottom faces, in the camera's frame; of one image or many, of
             cameras that the ground is under alike.
         ground: The given ground; without one nothing is known.
+        origin: What is said of them.
     """
     sized = [(box.location, box.size[2]) for box in boxes if box.size is not None]
     if ground is None or not sized:
-        return False
+        return None
     places, halves = np.array([place for place, _ in sized]), np.array([height for _, height in sized]) / 2.0
-    ratios = (ground.distance - places @ ground.normal) / halves
+    beside = 1.0 if origin is BoxOrigin.BOTTOM else -1.0
+    ratios = beside * (ground.distance - places @ ground.normal) / halves
     nats = 0.5 * (halves / np.hypot(_HEIGHT_SIGMA, _SLOPE_SIGMA * places[:, 2])) ** 2
     order = np.argsort(ratios)
     before = np.cumsum(nats[order])
     median = float(ratios[order][np.searchsorted(before, 0.5 * before[-1])])
     share = float(nats[ratios > 2.0 * _LEAST].sum() / before[-1])
-    return bool(before[-1] > _NATS and _HALVES[0] < median < _HALVES[1] and share > _SHARE)
+    if before[-1] > _NATS and _HALVES[0] < median < _HALVES[1] and share > _SHARE:
+        return CENTRES if origin is BoxOrigin.BOTTOM else BOTTOMS
+    return None

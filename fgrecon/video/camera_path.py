@@ -55,6 +55,11 @@ class CameraPath:
         self._skipped: CameraMotion | None = None  # the motion up to frames that were left out
         self._coasted = self._lost = 0.0  # seconds without a motion: with a pose, and without
 
+    @property
+    def known(self) -> bool:
+        """Whether the camera has poses in some of the frames."""
+        return self._moving or bool(self._poses)
+
     def skip(self, record: FrameRecord) -> None:
         """Leave a frame out; the next motion begins there all the same."""
         if not self._moving or record.problem is not None or self._pose is None:

@@ -71,7 +71,8 @@ def coverage_warnings(
         spans = f"the poses are of {poses.span}, the frames {_span(frames, poses)}"
         verb = "has" if without == 1 else "have"
         hint = "" if poses.times else _hint(poses.by_frame, numbers)
-        lines.append(f"{without} of {counted(len(frames), 'frame')} {verb} no pose of the camera: {spans}.{hint}")
+        count = f"{without} of {counted(len(frames), 'frame')} {verb} no pose of the camera"
+        lines.append(f"{count}: {spans}.{hint} Vehicles have no speed there.")
     strangers = sum(not _may_have(source, number, numbers) for number in vehicles or ())
     if strangers and vehicles:
         given, there = f"{min(vehicles)} to {max(vehicles)}", f"{min(numbers)} to {max(numbers)}"

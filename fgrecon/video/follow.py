@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -168,10 +168,16 @@ class Follower:
             scores={i: s.score for i, s in sightings.items()},
             kinds={i: self._kind(i, s) for i, s in sightings.items()},
             observations=observations,
-            estimates=dict(estimates),
+            estimates={identity: self.over_world(one) for identity, one in estimates.items()},
             refused={identity: str(error) for identity, error in self.tracker.refused.items()},
             window=self._window(estimates),
         )
+
+    def over_world(self, estimate: VehicleEstimate) -> VehicleEstimate:
+        """An estimate, without its velocity if that is relative to the camera and those of other frames are not."""
+        if estimate.velocity is None or estimate.world_T_object is not None or not self._path.known:
+            return estimate
+        return replace(estimate, velocity=None, turn_rate=None, velocity_covariance=None)
 
     def _window(self, estimates: Mapping[int, VehicleEstimate]) -> tuple[GraphFactor, ...]:
         if self._window_graph is None or not estimates:

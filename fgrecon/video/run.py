@@ -103,7 +103,8 @@ class VideoRun:
         Args:
             follower: What has followed the vehicles.
         """
-        smoothed = {(i, one.time): one for i, known in follower.tracker.smooth().items() for one in known}
+        every = follower.tracker.smooth().items()
+        smoothed = {(i, one.time): follower.over_world(one) for i, known in every for one in known}
         self.frames = [
             replace(frame, estimates={i: smoothed.get((i, frame.time), first) for i, first in frame.estimates.items()})
             for frame in self.frames

@@ -270,8 +270,8 @@ def test_bad_options_name_the_field(write, instance, arguments, field):
     assert done.exception.field == field
 
 
-@pytest.mark.parametrize("width", [100, 132, 180])
-def test_reasons_are_whole_in_the_table_and_below_it(capsys, width):
+@pytest.mark.parametrize("width", [100, 180])
+def test_reasons_are_whole_below_the_table(capsys, width):
     reason = "The keypoints with any weight leave pose or shape undetermined and " + "so on " * 9 + "to the end"
     nothing = Instance("car", np.full((14, 2), np.nan))
     outcome = solve_tasks.Outcome(VehicleTask(nothing, Camera(K)), None, FgreconError(reason))
@@ -279,7 +279,6 @@ def test_reasons_are_whole_in_the_table_and_below_it(capsys, width):
     screen.console = Console(width=width, highlight=False, soft_wrap=True)
     print_table(screen, [outcome])
     shown = capsys.readouterr().out
-    assert max(map(len, shown.splitlines())) <= width or width == 100
     assert set(reason.split()) <= set(shown.split())
 
 
@@ -324,9 +323,11 @@ def test_the_table_has_a_few_words_and_verbose_has_all_of_them(write, monkeypatc
     file = write([car() | {"id": "a"}, car() | {"id": "b", "box": [5, 5, 5, 9]}])
     shown = run(file, INTRINSICS)
     assert shown.exit_code == 0, shown.output
-    assert re.search(r"^a +degenerate .* The solver was stopped early *$", shown.stdout, re.MULTILINE)
-    assert re.search(r"^b +refused .*box: ", shown.stdout, re.MULTILINE)
-    assert max(map(len, shown.stdout.splitlines())) < 160
+    assert re.search(r"^a +degenerate ", shown.stdout, re.MULTILINE)
+    assert re.search(r"^b +refused ", shown.stdout, re.MULTILINE)
+    assert re.search(r"^a: The solver was stopped early *$", shown.stdout, re.MULTILINE)
+    assert re.search(r"^b: box: ", shown.stdout, re.MULTILINE)
+    assert max(map(len, shown.stdout.splitlines())) <= 80
     told = run(file, INTRINSICS, "-v")
     assert f"a: {long}" in told.stdout
     assert "energies (nats): reprojection" in told.stdout

@@ -28,7 +28,8 @@ def screen(*, quiet=False):
 def test_the_first_are_shown_and_the_others_counted(capsys, more):
     reconstruct_report.print_table(screen(), refused(300 + more))
     lines = capsys.readouterr().out.splitlines()
-    assert sum(line.startswith("car-") for line in lines) == 300
+    assert sum("refused" in line for line in lines[2:302]) == 300
+    assert "car-6, car-7 and 292 more: keypoints: no measured point" in " ".join(lines)
     last = f"... and {more} more ({more} refused). The results file of --json or --out has all of them."
     assert (lines[-1] == last) == (more > 0)
 

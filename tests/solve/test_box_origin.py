@@ -9,7 +9,7 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.choices import BoxOrigin
 from fgrecon.errors import ContradictoryInputWarning, InvalidInputError
 from fgrecon.io.box_lines import read_box_lines
-from fgrecon.solve.box_origin import on_bottom, stand_on_centres, with_origin
+from fgrecon.solve.box_origin import BOTTOMS, CENTRES, contradicted_origin, on_bottom, with_origin
 
 GROUND = Ground.level(1.65)
 PLACES = [(-3.0, 10.0, 1.4), (2.5, 14.0, 1.5), (-9.0, 16.0, 1.8)]
@@ -18,6 +18,18 @@ PLACES = [(-3.0, 10.0, 1.4), (2.5, 14.0, 1.5), (-9.0, 16.0, 1.8)]
 def boxes(share, rise=0.0):
     """Cars whose given points are at a share of their height above a road that rises by so much a metre."""
     return [Box3D([x, 1.65 - rise * z - share * h, z], 1.6, [4.0, 1.7, h]) for x, z, h in PLACES]
+
+
+def stand_on_centres(some, ground):
+    said = contradicted_origin(some, ground, BoxOrigin.BOTTOM)
+    assert said in (None, CENTRES)
+    return said is not None
+
+
+def test_bottoms_that_are_said_to_be_centres_are_noticed():
+    lowered = on_bottom(boxes(0.0), BoxOrigin.CENTRE)
+    assert contradicted_origin(lowered, GROUND, BoxOrigin.CENTRE) == BOTTOMS
+    assert contradicted_origin(boxes(0.0), GROUND, BoxOrigin.CENTRE) is None
 
 
 def test_centres_are_noticed_by_the_given_ground():

@@ -10,7 +10,8 @@ from fgrecon.core.camera import Ground
 from fgrecon.io.export import read_video_frames
 from fgrecon.io.poses import CameraPoses
 from fgrecon.simulation import KITTI_CAMERA
-from fgrecon.video import Follower, GatedAssociation, SingleImageTracker
+from fgrecon.solve.tracker import Tracker
+from fgrecon.video import Follower, GatedAssociation, SingleImageTracker, VideoRun
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.records import FrameRecord, Sighting
 from fgrecon.video.rows import frame_lines, rows_of, tracking_text
@@ -130,6 +131,23 @@ def test_an_estimate_is_in_the_world():
     frame = follower(poses=poses, ground=Ground.level(1.65))(record(0, Sighting(first[0].box, 1.0, 1, first[0])))
     estimate = frame.estimates[1]
     assert estimate.world_T_object[2, 3] == pytest.approx(estimate.reconstruction.location[2] + 5.0)
+
+
+def test_speeds_are_of_the_world_or_there_are_none():
+    (first,) = simulated(8, seeds=(25,))
+    for poses, moving in (
+        (CameraPoses({n: step(0.5 * n).previous_T_current for n in range(4)}), [False, *[True] * 3, *[False] * 4]),
+        (None, [False, *[True] * 7]),
+    ):
+        follow = Follower(Tracker(), GatedAssociation(), KITTI_CAMERA, poses=poses, ground=Ground.level(1.65))
+        frames = [follow(record(n, Sighting(one.box, 1.0, 1, one))) for n, one in enumerate(first)]
+        assert [frame.estimates[1].velocity is not None for frame in frames] == moving
+        run = VideoRun(8, frames=frames)
+        run.smooth(follow)
+        for frame in run.frames:  # that between frames with and without a pose knows of neither kind
+            known = poses is None or frame.number < 3
+            assert (frame.estimates[1].speed is not None) == known
+            assert (frame.estimates[1].turn_rate is not None) == known
 
 
 def test_time_goes_forward():
