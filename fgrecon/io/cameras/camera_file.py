@@ -7,6 +7,8 @@ from pathlib import Path
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.cameras.rigs import MountedCamera, is_waymo, nuscenes_camera, waymo_camera
+from fgrecon.io.cameras.slam_files import is_slam_file, slam_camera
+from fgrecon.io.cameras.structure import colmap_camera, is_colmap, is_nerfstudio, nerfstudio_camera
 from fgrecon.io.datasets import is_data_set, open_sequence
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.io.keypoint_file import parse_camera
@@ -18,11 +20,12 @@ def read_camera(source: str | Path, image: str | None = None) -> MountedCamera:
     """Read a camera from a calibration file.
 
     Args:
-        source: KITTI's calibration (object, tracking, odometry, raw), YAML of ROS or OpenCV, XML of OpenCV, JSON of
-            Waymo, of OpenCV or with the fields of a keypoint file (`K`), or the folder of a data set. Of several
-            cameras one is named after the file: `FILE#P3`, `FOLDER#CAM_FRONT`, `FOLDER#SEQUENCE/CAMERA`, `FILE#FRONT`;
-            `#projection_matrix` is ROS's rectified camera.
-        image: File name of the photograph, by which nuScenes tells the camera.
+        source: KITTI's calibration (object, tracking, odometry, raw), YAML of ROS, OpenCV, Kalibr, ORB-SLAM or VINS,
+            XML of OpenCV, JSON of Waymo, nerfstudio, OpenCV or with the fields of a keypoint file (`K`), COLMAP's
+            `cameras.txt` or `.bin`, or the folder of a data set. Of several cameras one is named after the file:
+            `FILE#P3`, `FOLDER#CAM_FRONT`, `FOLDER#SEQUENCE/CAMERA`, `FILE#FRONT`; `#projection_matrix` is ROS's
+            rectified camera.
+        image: File name of the photograph, by which data sets, COLMAP and nerfstudio tell the camera.
 
     Raises:
         InvalidInputError: The file cannot be read, has no such camera, or is malformed; names file and field.
@@ -38,6 +41,8 @@ def read_camera(source: str | Path, image: str | None = None) -> MountedCamera:
         data = read_json(path)
         if is_waymo(data):
             return waymo_camera(data, name, where)
+        if is_nerfstudio(data):
+            return nerfstudio_camera(data, image, name, where)
         fields = Fields(data, where)
         rows = fields.data.get("K")
         ours = "intrinsics" in fields or (isinstance(rows, list) and any(isinstance(row, list) for row in rows))
@@ -51,9 +56,13 @@ def read_camera(source: str | Path, image: str | None = None) -> MountedCamera:
         from fgrecon.io.cameras.storage import read_storage, storage_camera  # on use: it imports yaml
 
         data = read_storage(path)
+        if is_slam_file(data):
+            return MountedCamera(slam_camera(data, name, where))
         if not isinstance(data, Mapping):
             raise InvalidInputError(str(path), type(data).__name__, "Give a calibration of ROS or OpenCV.")
         return MountedCamera(storage_camera(data, where, name))
+    if is_colmap(path):
+        return MountedCamera(colmap_camera(path, image, name))
     calibration = read_calibration(path, "P2" if name is None else name)
     return MountedCamera(calibration.camera, label_offset=calibration.label_offset)
 

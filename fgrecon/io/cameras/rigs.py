@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.cameras.camera_file_names import named_camera
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.nuscenes import NuScenesTables, pose_of
 
@@ -126,10 +127,7 @@ def waymo_camera(data: Any, name: str | None, where: str) -> MountedCamera:
         fields = Fields(entry, f"{where}[{number}].")
         title = fields.data.get("name", number)
         found[str(_WAYMO_NAMES.get(title, title) if isinstance(title, int) else title)] = fields
-    if (name is None and len(found) > 1) or (name is not None and name not in found):
-        fix = f"Name one after the file, FILE#NAME: {', '.join(found)}."
-        raise InvalidInputError(f"{where}camera", name or f"{len(found)} cameras", fix)
-    fields = found[name] if name is not None else next(iter(found.values()))
+    fields = found[named_camera(found, name, where)]
     fx, fy, cx, cy, *lens = fields.numbers("intrinsic", (9,)).tolist()
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     size = (fields.get("width", int), fields.get("height", int)) if "width" in fields else None
