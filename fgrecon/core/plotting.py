@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
-from importlib import metadata
 from typing import Any, Protocol, cast
 
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
@@ -43,6 +42,8 @@ def plotting_backend(name: str = DEFAULT_BACKEND) -> PlottingBackend:
         InvalidInputError: Only others are installed.
         MissingPackageError: None is installed.
     """
+    from importlib import metadata  # on use: results alone need it not
+
     found = {point.name: point for point in metadata.entry_points(group=GROUP)}
     if not found:
         purpose = f"Drawing a result (no backend is registered under the entry points {GROUP})"

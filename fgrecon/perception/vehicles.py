@@ -21,7 +21,7 @@ from fgrecon.io.integrity import check_hash, listed
 from fgrecon.io.isolated import Isolated
 from fgrecon.perception.keypoints.decode import sigmoid
 from fgrecon.perception.keypoints.detect import as_rgb8
-from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session
+from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session, threads_of_networks
 
 Array = NDArray[np.float64]
 Names = NDArray[np.intp]
@@ -149,8 +149,8 @@ class NanodetVehicleDetector:
 
         Args:
             weights: ONNX file by `fgrecon vehicles convert`; None for the one that comes with fgrecon.
-            runtime: What runs the network: "opencv"; "onnx", which is ONNX Runtime, with as many threads as OpenCV has
-                now; or "auto", "onnx" where it is installed.
+            runtime: What runs the network: "opencv"; "onnx", which is ONNX Runtime, with as many threads as cores are
+                free now, and not more than OpenCV has; or "auto", "onnx" where it is installed.
 
         Raises:
             InvalidInputError: There is no such file, no network or another one in it, or the runtime is not installed.
@@ -253,7 +253,9 @@ def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float)
 def _network_of(model: bytes, runtime: str) -> Network:
     import cv2
 
-    return open_session(model, cv2.getNumThreads()) if runtime == "onnx" else _on_opencv(model)
+    return (
+        open_session(model, min(cv2.getNumThreads(), threads_of_networks())) if runtime == "onnx" else _on_opencv(model)
+    )
 
 
 def _try(model: bytes, runtime: str) -> None:

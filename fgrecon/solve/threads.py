@@ -16,6 +16,8 @@ from functools import wraps
 from threading import Lock, get_ident
 from typing import Any, ParamSpec, TypeVar
 
+from fgrecon.core.lapack import lapack
+
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -59,7 +61,7 @@ class _ThreadPools:
         """Find the pools again if modules were imported since, which may have brought one."""
         if self._modules == len(sys.modules):
             return
-        import scipy.linalg  # noqa: F401  # the search's LAPACK, with a pool of its own: now rather than amid a solve
+        lapack()  # the search's, with a pool of its own: now rather than amid a solve
         from threadpoolctl import ThreadpoolController
 
         pools = ThreadpoolController().lib_controllers

@@ -6,14 +6,15 @@
 
 The motion, every inverse depth and small changes of the ground are estimated together by re-weighted Gauss-Newton;
 inverse depths are eliminated point by point. It begins at the motion of the essential matrix, scaled so that the road's
-points lie on the ground, at standing still, and at a guess; the best end counts, unless standing still explains the
-points nearly as well.
+points lie on the ground, and at a guess, the motion before, or at standing still where there is none; the best end
+counts, unless standing still explains the points nearly as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,12 @@ class EgomotionSettings:
     min_road_points: int = 8
     max_iterations: int = 25
     max_features: int = 300  # off the road, and as many on it
+    least_quality: float = 0.01  # of a point off the road, of the best one's: how much of a corner it is
+    least_road_quality: float = 0.005
+    least_distance_px: float = 12.0  # from point to point, off the road
+    least_road_distance_px: float = 8.0
+    levels: int = 4  # of halved images over which a point is followed
+    back_levels: int = 1  # and followed back, from where it was
     max_backtrack_px: float = 0.7  # by which a point may miss itself when tracked back
     box_margin_px: int = 6  # around vehicles' boxes
 
@@ -125,31 +132,17 @@ def tracked_points(
     """Pixels (P, 2) of points in the image before, and (P, 2) where they are in the next; see `camera_motion`."""
     import cv2
 
-    mask = np.full(before.shape, 255, dtype=np.uint8)
-    for x1, y1, x2, y2 in boxes_before:
-        low_x, low_y = (max(int(low) - SETTINGS.box_margin_px, 0) for low in (x1, y1))
-        mask[low_y : max(int(y2) + SETTINGS.box_margin_px, 0), low_x : max(int(x2) + SETTINGS.box_margin_px, 0)] = 0
-    rows, columns = (np.arange(0, size, 8) for size in before.shape)
-    grid = np.stack(np.meshgrid(columns, rows), axis=-1).astype(np.float64)
-    road = _is_road(camera.rays(camera.undistort(grid.reshape(-1, 2))), ground).reshape(grid.shape[:2])
-    on_road = np.repeat(np.repeat(road, 8, axis=0), 8, axis=1)[: before.shape[0], : before.shape[1]]
-    features = [
-        cv2.goodFeaturesToTrack(before, most, quality, distance, mask=np.where(part, mask, 0).astype(np.uint8))
-        for part, most, quality, distance in (
-            (~on_road, SETTINGS.max_features, 0.01, 12.0),
-            (on_road, SETTINGS.max_features, 0.005, 8.0),
-        )
-    ]
-    points = [p for p in features if p is not None]
-    if not points:
+    first = _corners(before, camera, ground, boxes_before)
+    if not len(first):
         return np.zeros((0, 2)), np.zeros((0, 2))
-    first = np.concatenate(points).astype(np.float32)
     start = first.copy()
     if guess is not None:
         start = _flowed(first[:, 0].astype(np.float64), camera, ground, guess)[:, None].astype(np.float32)
-    settings: dict[str, Any] = {"winSize": (21, 21), "maxLevel": 4, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
-    second, good, _ = cv2.calcOpticalFlowPyrLK(before, after, first, start, **settings)
-    back, good_back, _ = cv2.calcOpticalFlowPyrLK(after, before, second, first.copy(), **settings)
+    how: dict[str, Any] = {"winSize": (21, 21), "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
+    second, good, _ = cv2.calcOpticalFlowPyrLK(before, after, first, start, **how, maxLevel=SETTINGS.levels)
+    back, good_back, _ = cv2.calcOpticalFlowPyrLK(
+        after, before, second, first.copy(), **how, maxLevel=SETTINGS.back_levels
+    )
     kept = (good[:, 0] > 0) & (good_back[:, 0] > 0)
     kept &= np.abs(back - first).max(axis=(1, 2)) < SETTINGS.max_backtrack_px
     there = second[:, 0]
@@ -160,6 +153,48 @@ def tracked_points(
             & (there < (x2 + SETTINGS.box_margin_px, y2 + SETTINGS.box_margin_px))
         ).all(axis=1)
     return first[kept, 0].astype(np.float64), there[kept].astype(np.float64)
+
+
+def _corners(image: NDArray[np.uint8], camera: Camera, ground: Ground, boxes: Sequence[Array]) -> NDArray[np.float32]:
+    """(P, 1, 2) pixels of points to follow, off the boxes: those off the road, and those on it.
+
+    Off the road they are sought in the image at half its size, in a quarter of the time. The road's texture is too fine
+    for that: motions become too long.
+    """
+    import cv2
+
+    free = np.full(image.shape, 255, dtype=np.uint8)
+    margin = SETTINGS.box_margin_px
+    for x1, y1, x2, y2 in boxes:
+        low_x, low_y = (max(int(low) - margin, 0) for low in (x1, y1))
+        free[low_y : max(int(y2) + margin, 0), low_x : max(int(x2) + margin, 0)] = 0
+    rows, columns = (np.arange(0, size, 8) for size in image.shape)
+    grid = np.stack(np.meshgrid(columns, rows), axis=-1).astype(np.float64)
+    road = _is_road(camera.rays(camera.undistort(grid.reshape(-1, 2))), ground).reshape(grid.shape[:2])
+    on_road = np.repeat(np.repeat(road, 8, axis=0), 8, axis=1)[: image.shape[0], : image.shape[1]]
+    height, width = (size // 2 * 2 for size in image.shape)
+    half = cv2.resize(image[:height, :width], (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    elsewhere = np.where(on_road, 0, free)[:height:2, :width:2]
+    found = [
+        2.0 * corners + 0.5  # pixel centres are integers
+        for corners in _best(half, elsewhere, SETTINGS.least_quality, 0.5 * SETTINGS.least_distance_px)
+    ]
+    if road.any():
+        (top, bottom), (left, right) = (np.flatnonzero(on_road.any(axis=axis))[[0, -1]] for axis in (1, 0))
+        part = slice(top, bottom + 1), slice(left, right + 1)
+        how = SETTINGS.least_road_quality, SETTINGS.least_road_distance_px
+        found += [
+            corners + np.array([left, top]) for corners in _best(image[part], np.where(on_road, free, 0)[part], *how)
+        ]
+    return np.concatenate(found).astype(np.float32)[:, None] if found else np.zeros((0, 1, 2), np.float32)
+
+
+def _best(image: NDArray[np.uint8], mask: NDArray[np.uint8], quality: float, distance: float) -> list[Array]:
+    """The best corners (P, 2) of an image where the mask is not 0; none is an empty list."""
+    import cv2
+
+    corners = cv2.goodFeaturesToTrack(image, SETTINGS.max_features, quality, distance, mask=mask)
+    return [] if corners is None else [np.asarray(corners[:, 0], dtype=np.float64)]
 
 
 def motion_of_points(
@@ -180,9 +215,9 @@ def motion_of_points(
     problem = _Problem.of(before, after, camera, ground)
     if len(before) < SETTINGS.min_points or problem.road.sum() < SETTINGS.min_road_points:
         return None
-    starts = [np.eye(4), _essential(before, after, camera, problem)]
-    starts += [] if guess is None else [np.linalg.inv(guess).astype(np.float64)]
-    solved = [problem.solve(start) for start in starts if start is not None]
+    # From standing still the way is the longest, and ends where a guess does.
+    starts = [np.eye(4) if guess is None else np.linalg.inv(guess), _essential(before, after, camera, problem)]
+    solved = [problem.solve(start.astype(np.float64)) for start in starts if start is not None]
     best = min((end for end in solved if end is not None), key=lambda end: end.cost, default=None)
     still = problem.solve(np.eye(4), still=True)
     if still is not None and (best is None or still.cost < best.cost + SETTINGS.min_gain_nats_per_point * len(before)):
@@ -202,6 +237,51 @@ class _End:
     cost: float
     points: int
     road_points: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Whitened derivatives of P points.
+
+    Attributes:
+        pose: (6, 2, P) of the reprojections by the motion.
+        ground: (3, P) of the inverse depths by the ground.
+        depth: (3, P) of both by the point's inverse depth.
+        missing: (3, P) what is missing.
+        weight: (P,) of the reprojections.
+    """
+
+    pose: Array
+    ground: Array
+    depth: Array
+    missing: Array
+    weight: Array
+
+    @cached_property
+    def _crossed(self) -> Array:
+        """(9, P) motion and ground beside the inverse depth."""
+        return np.concatenate([(self.pose * self.depth[:2]).sum(axis=1), self.ground * self.depth[2]])
+
+    @cached_property
+    def _square(self) -> Array:
+        return np.asarray((self.depth**2).sum(axis=0))
+
+    @cached_property
+    def _along(self) -> Array:
+        return np.asarray((self.depth * self.missing).sum(axis=0))
+
+    def without_depths(self) -> tuple[Array, Array]:
+        """(9, 9) Hessian and (9,) gradient of motion and ground, inverse depths eliminated."""
+        pose, hessian = self.pose.reshape(6, -1), np.zeros((9, 9))
+        hessian[:6, :6] = pose @ pose.T
+        hessian[6:, 6:] = self.ground @ self.ground.T
+        hessian -= (self._crossed / self._square) @ self._crossed.T
+        gradient = np.concatenate([pose @ self.missing[:2].reshape(-1), self.ground @ self.missing[2]])
+        return hessian, gradient - self._crossed @ (self._along / self._square)
+
+    def depths(self, step: Array) -> Array:
+        """(P,) changes of the inverse depths that go with a step (9,) of motion and ground."""
+        return np.asarray((self._along - step @ self._crossed) / self._square)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,14 +335,8 @@ class _Problem:
             if (there[:, 2] < 0.05).mean() > 0.2:
                 return None
             there[:, 2] = np.maximum(there[:, 2], 0.05)
-            rows, by_depth, missing, weight = self._linearised(there, shift, depth, plane, trust)
-            square = (by_depth**2).sum(axis=1)
-            hessian = np.einsum("pij,pik->jk", rows, rows)
-            gradient = np.einsum("pij,pi->j", rows, missing)
-            crossed = np.einsum("pij,pi->pj", rows, by_depth)
-            along = (by_depth * missing).sum(axis=1)
-            hessian -= np.einsum("pj,pk->jk", crossed / square[:, None], crossed)
-            gradient -= crossed.T @ (along / square)
+            rows = self._linearised(there, shift, depth, plane, trust)
+            hessian, gradient = rows.without_depths()
             hessian[6:, 6:] += np.diag(self.prior)
             gradient[6:] -= self.prior * plane
             if still:
@@ -271,7 +345,7 @@ class _Problem:
                 step = np.linalg.solve(hessian + 1e-9 * np.eye(9), gradient)
             except np.linalg.LinAlgError:
                 return None
-            depth = depth + (along - crossed @ step) / square
+            depth = depth + rows.depths(step)
             plane = plane + step[6:]
             rotation = exponential(step[:3])
             turn, shift = rotation @ turn, rotation @ shift + step[3:6]
@@ -280,36 +354,29 @@ class _Problem:
                 break
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = turn, shift
-        return self._end(pose, self._cost(depth, plane, weight, trust), weight, trust, hessian)
+        return self._end(pose, self._cost(depth, plane, rows.weight, trust), rows.weight, trust, hessian)
 
-    def _linearised(
-        self, there: Array, shift: Array, depth: Array, plane: Array, trust: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Whitened rows of each point: two of its reprojection, one of its inverse depth.
-
-        Returns:
-            (P, 3, 9) derivatives by motion and ground, (P, 3) by the point's inverse depth, (P, 3) what is missing, and
-            (P,) weights of the reprojections.
-        """
+    def _linearised(self, there: Array, shift: Array, depth: Array, plane: Array, trust: Array) -> _Rows:
+        """Whitened rows of each point: two of its reprojection, one of its inverse depth."""
         elsewhere = SETTINGS.other_inverse_depth_sigma_per_m
-        off = (self.after - there[:, :2] / there[:, 2:]) / self.sigma
-        weight = 1.0 / (1.0 + (off**2).sum(axis=1) / SETTINGS.inlier_sigmas**2)
-        project = np.zeros((len(there), 2, 3))
-        project[:, 0, 0] = project[:, 1, 1] = 1.0 / there[:, 2]
-        project[:, :, 2] = -there[:, :2] / there[:, 2:] ** 2
-        project /= self.sigma
-        root = np.sqrt(weight)[:, None]
+        inverse = 1.0 / there[:, 2]
+        x, y = there[:, 0] * inverse, there[:, 1] * inverse
+        off = (self.after.T - np.stack([x, y])) / self.sigma
+        weight = 1.0 / (1.0 + (off**2).sum(axis=0) / SETTINGS.inlier_sigmas**2)
+        root = np.sqrt(weight) / self.sigma
+        far, cross = root * inverse, root * x * y
         tight = np.sqrt(np.where(self.road, np.maximum(trust, (self.spread / elsewhere) ** 2), 1.0))
-        spread = np.where(trust > 0, self.spread, elsewhere)
-        rows = np.zeros((len(there), 3, 9))
-        rows[:, :2, :3] = project @ np.cross(there[:, None], np.eye(3))
-        rows[:, :2, 3:6] = depth[:, None, None] * project
-        rows[:, 2, 6:] = -self.slopes
-        rows[:, :2] *= root[..., None]
-        rows[:, 2] *= (tight / spread)[:, None]
-        by_depth = np.concatenate([project @ shift * root, (tight / spread)[:, None]], axis=1)
-        short = self.depth + self.slopes @ plane - depth
-        return rows, by_depth, np.concatenate([off * root, (tight * short / spread)[:, None]], axis=1), weight
+        known = tight / np.where(trust > 0, self.spread, elsewhere)
+        # Of x / z and y / z by turn and shift; a turn w moves a point by its cross product with w.
+        pose = np.zeros((6, 2, len(there)))
+        pose[0] = -cross, -root * (1.0 + y * y)
+        pose[1] = root * (1.0 + x * x), cross
+        pose[2] = -root * y, root * x
+        pose[3, 0] = pose[4, 1] = depth * far
+        pose[5] = -x * pose[3, 0], -y * pose[3, 0]
+        by_depth = np.stack([far * (shift[0] - x * shift[2]), far * (shift[1] - y * shift[2]), known])
+        short = known * (self.depth + self.slopes @ plane - depth)
+        return _Rows(pose, -known * self.slopes.T, by_depth, np.stack([*(root * self.sigma * off), short]), weight)
 
     def _off_road(self, depth: Array, plane: Array) -> Array:
         """(P,) by how many standard deviations inverse depths are off the road."""

@@ -6,7 +6,8 @@ VideoRequest ---- prepare_video (read, check, find the camera) ---- VideoJob ---
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -44,6 +45,7 @@ from fgrecon.io.run_settings import RunSettings, content_hash
 from fgrecon.io.video import check_video
 from fgrecon.io.video_frames import packet_times
 from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.perception.keypoints.sessions import at_most, threads_of_networks
 from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.box_check import boxes_warning
 from fgrecon.solve.tracker import Tracker
@@ -353,7 +355,7 @@ def track_video(
         moving=job.moving,
         window_graph=tracker.window_graph if isinstance(tracker, Tracker) and window_graph else None,
     )
-    with warnings.catch_warnings(), summed_up():
+    with warnings.catch_warnings(), summed_up(), _threads_beside_solving():
         warnings.simplefilter("ignore", UncoveredFramesWarning)  # said below
         run = run_video(
             job.source,
@@ -373,6 +375,20 @@ def track_video(
     for line in run.warnings + _keypoint_warnings(job, run):
         warn(line)
     return run
+
+
+@contextmanager
+def _threads_beside_solving() -> Iterator[None]:
+    """Within it networks that are made, and OpenCV, leave one of the free cores to the solver."""
+    import cv2
+
+    threads, before = max(1, threads_of_networks() - 1), cv2.getNumThreads()
+    cv2.setNumThreads(min(before, threads))
+    try:
+        with at_most(threads):
+            yield
+    finally:
+        cv2.setNumThreads(before)
 
 
 def _keypoint_warnings(job: VideoJob, run: VideoRun) -> list[str]:

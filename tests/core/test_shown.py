@@ -125,8 +125,8 @@ def test_without_pandas_the_error_says_what_to_install(monkeypatch):
 
 def pretend(monkeypatch, **backends):
     points = [SimpleNamespace(name=name, load=lambda module=module: module) for name, module in backends.items()]
-    fake = SimpleNamespace(entry_points=lambda group: points if group == "fgrecon.plotting" else [])
-    monkeypatch.setattr(plotting, "metadata", fake)
+    known = {"fgrecon.plotting": points}
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: known.get(group, []))
 
 
 def test_a_result_draws_by_the_backend_that_is_asked_for(monkeypatch):

@@ -1,6 +1,5 @@
 """What runs the networks does not matter to what they say."""
 
-import os
 import pickle
 import sys
 from dataclasses import replace
@@ -15,7 +14,7 @@ from fgrecon.perception.keypoints import sessions
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.layout import KNetSettings, RefineSettings
 from fgrecon.perception.keypoints.network_file import save_weights
-from fgrecon.perception.keypoints.sessions import at_most, chosen_runtime, open_session, threads_of_torch
+from fgrecon.perception.keypoints.sessions import at_most, chosen_runtime, open_session, threads_of_networks
 from fgrecon.simulation.demo import demo_scene
 from tests.perception.untrained import untrained
 
@@ -102,6 +101,7 @@ def test_no_more_threads_than_torch_has(runtime, monkeypatch):
     monkeypatch.setattr(
         "fgrecon.perception.keypoints.on_onnx.open_session", lambda model, threads: asked.append(threads)
     )
+    monkeypatch.setattr(sessions, "free_cores", lambda: 1000)
     KeypointCascade(runtime="onnx")
     assert asked == [torch.get_num_threads()] * 2
     with at_most(torch.get_num_threads() + 1):
@@ -117,24 +117,30 @@ def test_as_many_threads_as_torch_would_have(monkeypatch, said, threads):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     if said is not None:
         monkeypatch.setenv("OMP_NUM_THREADS", said)
-    monkeypatch.setattr(sessions, "_cores", lambda: 7)
-    assert threads_of_torch() == (threads or 7)
+    monkeypatch.setattr(sessions, "free_cores", lambda: 7)
+    assert threads_of_networks() == (threads or 7)
     with at_most(2):
-        assert threads_of_torch() == 2
+        assert threads_of_networks() == 2
     with at_most(None):
-        assert threads_of_torch() == (threads or 7)
+        assert threads_of_networks() == (threads or 7)
 
 
-def test_processors_of_one_core_count_once(monkeypatch):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 5}, raising=False)
-    monkeypatch.setattr(sessions.Path, "read_text", lambda path: "0,5" if path.parts[-3] in ("cpu0", "cpu5") else "1-2")
-    assert sessions._cores() == 2
+@pytest.mark.parametrize("threads", [1, 2])
+def test_torch_has_the_threads_of_networks_while_they_run_alone(threads):
+    with at_most(threads):
+        cascade = KeypointCascade(runtime="torch", refine=False)
+    asked, before = [], torch.get_num_threads()
+    inner = torch.nn.functional.conv2d
 
-    def absent(path):
-        raise FileNotFoundError(path)
+    def noted(*args):
+        asked.append(torch.get_num_threads())
+        return inner(*args)
 
-    monkeypatch.setattr(sessions.Path, "read_text", absent)
-    assert sessions._cores() == 4
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fgrecon.perception.keypoints.on_torch.functional.conv2d", noted)
+        cascade(np.zeros((60, 60, 3), np.uint8), [[10, 10, 50, 50]])
+    assert set(asked) == {threads}
+    assert torch.get_num_threads() == before
 
 
 def change(parts, name, value):

@@ -112,7 +112,7 @@ def test_without_onnx_runtime_the_detector_runs_on_opencv(monkeypatch):
         NanodetVehicleDetector(runtime="onnx")
 
 
-def test_no_more_threads_than_opencv_has(monkeypatch):
+def test_no_more_threads_than_opencv_has_and_cores_are_free(monkeypatch):
     pytest.importorskip("onnxruntime")
     asked = []
     maps = [np.zeros((1, vehicles.CHANNELS, 2, 2), np.float32) for _ in vehicles.STRIDES]
@@ -122,8 +122,10 @@ def test_no_more_threads_than_opencv_has(monkeypatch):
         return lambda blob: maps
 
     monkeypatch.setattr("fgrecon.perception.vehicles.open_session", opened)
-    NanodetVehicleDetector(runtime="onnx")
-    assert asked == [cv2.getNumThreads()]
+    for free, threads in ((1000, cv2.getNumThreads()), (1, 1)):
+        monkeypatch.setattr("fgrecon.perception.vehicles.threads_of_networks", lambda free=free: free)
+        NanodetVehicleDetector(runtime="onnx")
+        assert asked[-1] == threads
 
 
 @pytest.mark.parametrize("runtime", ["opencv", "onnx"])

@@ -120,7 +120,7 @@ def numbers():
     return sorted(pool.num_threads for pool in ThreadpoolController().lib_controllers)
 
 with_numpy = len(numbers())
-print(set(single_threaded(numbers)()), "scipy.linalg" in sys.modules)
+print(set(single_threaded(numbers)()), "scipy.linalg._flapack" in sys.modules)
 import cv2
 ThreadpoolController().limit(limits=2)
 print(set(numbers()), set(single_threaded(numbers)()), set(numbers()))

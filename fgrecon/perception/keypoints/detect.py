@@ -36,7 +36,7 @@ from fgrecon.perception.keypoints.layout import (
 )
 from fgrecon.perception.keypoints.network_file import WITHOUT_STREET, check_arrays, load_weights, shipped
 from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
-from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, threads_of_torch
+from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, threads_of_networks
 
 __all__ = [
     "REACH",
@@ -118,8 +118,8 @@ class KeypointCascade:
             refine: Whether the refinement networks follow KNet, where the file has them.
             mirror: Whether KNet also looks at the mirror image, and the mean of both counts.
             device: Torch's name of the device.
-            runtime: What runs the networks: "torch"; "onnx", which is ONNX Runtime on the CPU, with as many threads as
-                torch has now (or would have: it is not loaded); or "auto", "onnx" where it is installed.
+            runtime: What runs the networks: "torch"; "onnx", which is ONNX Runtime on the CPU; or "auto", "onnx" where
+                it is installed. Either has as many threads as cores are free now.
 
         Raises:
             InvalidInputError: There is no such file, it holds no network, or the runtime is not installed.
@@ -151,16 +151,16 @@ class KeypointCascade:
     def _running(self) -> tuple[Network, Network | None]:
         """KNet, and the refinement networks if there are any, on the runtime."""
         finer = None if self._finer is None else RefineLayout.of(self._finer)
+        threads = threads_of_networks()
         if self.runtime == "onnx":
             from fgrecon.perception.keypoints.on_onnx import knet_on_onnx, refinement_on_onnx
 
-            threads = threads_of_torch()
             first = knet_on_onnx(self._layout, self._arrays, threads)
             return first, None if finer is None else refinement_on_onnx(finer, self._finer_arrays, threads)
         from fgrecon.perception.keypoints.on_torch import knet_on_torch, refinement_on_torch
 
-        first = knet_on_torch(self._layout, self._arrays, self.device)
-        return first, None if finer is None else refinement_on_torch(finer, self._finer_arrays, self.device)
+        first = knet_on_torch(self._layout, self._arrays, self.device, threads)
+        return first, None if finer is None else refinement_on_torch(finer, self._finer_arrays, self.device, threads)
 
     def __getstate__(self) -> dict[str, Any]:
         """What other processes get: the networks are made of their arrays there again."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -69,24 +70,39 @@ class _Eager:
         return functional.linear(x, self.arrays[f"{name}.weight"], self.arrays[f"{name}.bias"])
 
 
-def knet_on_torch(layout: KNetLayout, arrays: Mapping[str, Array], device: str) -> Network:
+@contextmanager
+def _with_threads(number: int) -> Iterator[None]:
+    """So many threads for this thread's arithmetic, and as many as before afterwards.
+
+    OpenMP's wait for work with all that their cores have: beside other work a second one makes networks ten times as
+    slow.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(number)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def knet_on_torch(layout: KNetLayout, arrays: Mapping[str, Array], device: str, threads: int) -> Network:
     """KNet on crops (B, S, S, 3) of bytes, by its arrays as `KNetLayout` names them: see `networks.knet`."""
     do = _Eager(layout.layers, arrays, device)
 
     def run(crops: NDArray[Any]) -> Sequence[Array]:
-        with torch.inference_mode():
+        with _with_threads(threads), torch.inference_mode():
             tensor = torch.from_numpy(np.ascontiguousarray(crops)).to(device).permute(0, 3, 1, 2)
             return [value.cpu().numpy() for value in knet(do, layout, tensor)]
 
     return run
 
 
-def refinement_on_torch(layout: RefineLayout, arrays: Mapping[str, Array], device: str) -> Network:
+def refinement_on_torch(layout: RefineLayout, arrays: Mapping[str, Array], device: str, threads: int) -> Network:
     """The refinement networks on patches (M, 3 K, 32, 32) of bytes, likewise: see `networks.refinement`."""
     do = _Eager((*layout.layers, layout.head), arrays, device)
 
     def run(patches: NDArray[Any]) -> Sequence[Array]:
-        with torch.inference_mode():
+        with _with_threads(threads), torch.inference_mode():
             tensor = torch.from_numpy(np.ascontiguousarray(patches)).to(device)
             tensor = tensor.contiguous(memory_format=torch.channels_last)  # while they are bytes
             return [refinement(do, layout, tensor, PATCH * PATCH).cpu().numpy()]

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.free_cores import free_cores
 
 Network = Callable[[NDArray[Any]], Sequence[NDArray[np.float32]]]
 """From the network's input to its outputs."""
@@ -24,7 +24,7 @@ _MOST: ContextVar[int | None] = ContextVar("most", default=None)
 
 @contextmanager
 def at_most(threads: int | None) -> Iterator[None]:
-    """Networks that are made inside have so many threads, whatever PyTorch has; None changes nothing."""
+    """Networks that are made inside have so many threads, whatever is free; None changes nothing."""
     before = _MOST.set(threads)
     try:
         yield
@@ -32,30 +32,18 @@ def at_most(threads: int | None) -> Iterator[None]:
         _MOST.reset(before)
 
 
-def threads_of_torch() -> int:
-    """As many threads as PyTorch has now, or would begin with where it is not loaded."""
+def threads_of_networks() -> int:
+    """Threads for networks that are made now: as many as cores are free, and not more than PyTorch has been given.
+
+    Of `at_most`, and of OMP_NUM_THREADS where PyTorch is not loaded, just as many.
+    """
     most, torch = _MOST.get(), sys.modules.get("torch")
     if most is not None:
         return most
     if torch is not None and hasattr(torch, "get_num_threads"):
-        return int(torch.get_num_threads())
+        return min(int(torch.get_num_threads()), free_cores())
     asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
-    return int(asked) if asked.isdecimal() and int(asked) > 0 else _cores()
-
-
-def _cores() -> int:
-    """The cores that this process may use; a second thread of the same core is no gain where all do arithmetic."""
-    if not hasattr(os, "sched_getaffinity"):
-        return os.cpu_count() or 1
-    return len({_core(processor) for processor in os.sched_getaffinity(0)})
-
-
-def _core(processor: int) -> str:
-    """One name for all the processors of a core."""
-    try:
-        return Path(f"/sys/devices/system/cpu/cpu{processor}/topology/thread_siblings_list").read_text()
-    except OSError:  # not given, as in some containers
-        return f"processor {processor}"
+    return int(asked) if asked.isdecimal() and int(asked) > 0 else free_cores()
 
 
 def chosen_runtime(asked: str, other: str, *, packages: Sequence[str], able: bool = True) -> str:

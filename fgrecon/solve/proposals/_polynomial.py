@@ -23,12 +23,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from itertools import combinations_with_replacement
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factors.native import native
+from fgrecon.core.lapack import lapack, pivots_of_qr
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -235,21 +235,13 @@ def _common_roots(minors: Array) -> NDArray[np.complex128]:
         return np.asarray(roots / roots[every, largest][:, None], dtype=np.complex128)
 
 
-@cache
-def _lapack() -> Any:
-    """LAPACK by scipy, imported on use: that takes as long as all of fgrecon."""
-    from scipy.linalg import lapack
-
-    return lapack
-
-
 def _null_space(minors: Array) -> Array:
     """Basis (165, 40) of the span of the roots' monomial vectors of degree 8: what all multiples vanish on."""
     table = _tables()
     multiples = np.zeros((_RANK, _MONOMIALS))
     multiples.ravel()[table.entries] = minors.ravel()[table.sources]
     # LU of the transpose: row pivoting picks the 125 monomials that the other 40 determine, whatever the problem
-    factors, pivots, _ = _lapack().dgetrf(multiples.T, overwrite_a=1)
+    factors, pivots, _ = lapack().dgetrf(multiples.T, overwrite_a=1)
     order = list(range(_MONOMIALS))
     for i, pivot in enumerate(pivots.tolist()):
         order[i], order[pivot] = order[pivot], order[i]
@@ -268,7 +260,7 @@ def _multiplication(null_space: Array) -> Array:
 
 def _solve_upper(triangle: Array, right: Array, *, unit: int) -> Array:
     """Solve with an upper triangular matrix (LAPACK, without scipy's checks)."""
-    solution: Array = _lapack().dtrtrs(triangle, right, unitdiag=unit)[0]
+    solution: Array = lapack().dtrtrs(triangle, right, unitdiag=unit)[0]
     return solution
 
 
@@ -341,9 +333,7 @@ def _independent_multiples(gather_quartics: Array, rng: np.random.Generator) -> 
     minors = _minors(rng.normal(size=(4, 20)), rng.normal(size=(4, 4)), gather_quartics)
     multiples = np.zeros((210, _MONOMIALS))
     np.put_along_axis(multiples, np.tile(_places(4, 4), (6, 1)), np.repeat(minors, 35, axis=0), axis=1)
-    from scipy.linalg import qr
-
-    order: Index = qr(multiples.T, mode="r", pivoting=True)[1]
+    order: Index = pivots_of_qr(multiples.T)
     return np.sort(order[:_RANK])
 
 

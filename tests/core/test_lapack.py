@@ -1,0 +1,29 @@
+"""LAPACK without the rest of `scipy.linalg`: the same functions, in whatever order they are imported."""
+
+import subprocess
+import sys
+
+import numpy as np
+import scipy.linalg
+
+from fgrecon.core.lapack import lapack, pivots_of_qr
+
+_ALONE = """
+import sys
+from fgrecon.core.lapack import lapack
+assert lapack().__name__ == "scipy.linalg._flapack"
+assert "scipy.linalg" not in sys.modules
+import scipy.linalg
+assert scipy.linalg.lapack.dgetrf is lapack().dgetrf
+assert scipy.linalg.solve([[2.0]], [4.0]) == 2.0
+"""
+
+
+def test_it_is_that_of_scipy_and_comes_alone():
+    assert lapack().dtrtrs is scipy.linalg.lapack.dtrtrs
+    subprocess.run([sys.executable, "-c", _ALONE], check=True)
+
+
+def test_pivots_are_those_of_scipys_qr():
+    matrix = np.random.default_rng(0).normal(size=(30, 50)) * (np.arange(50) % 7 > 2)
+    np.testing.assert_array_equal(pivots_of_qr(matrix), scipy.linalg.qr(matrix, mode="r", pivoting=True)[1])
