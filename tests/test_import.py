@@ -53,7 +53,7 @@ def sample(tmp_path_factory):
 @pytest.mark.parametrize("code", [CASCADE, COMMAND])
 def test_with_onnx_runtime_keypoints_are_found_without_torch(code, sample):
     for name in ("onnx", "onnxruntime"):
-        pytest.importorskip(name, reason="the extra fgrecon[onnx] is not installed")
+        pytest.importorskip(name, reason="it is not installed")
     code += "import sys; print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=sample)
     assert done.stdout.strip() == "False"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from safetensors import safe_open
 
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.perception.keypoints import sessions
 from fgrecon.perception.keypoints.detect import KeypointCascade
@@ -29,7 +29,7 @@ NEEDS = ("onnx", "onnxruntime")
 def runtime():
     """ONNX Runtime, where it is installed."""
     for name in NEEDS:
-        pytest.importorskip(name, reason="the extra fgrecon[onnx] is not installed")
+        pytest.importorskip(name, reason="it is not installed")
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_the_runtime_is_chosen_by_what_is_installed(monkeypatch):
     there.remove("onnx")
     assert chosen_runtime("auto", "torch", packages=NEEDS) == "torch"
     assert chosen_runtime("onnx", "opencv", packages=["onnxruntime"]) == "onnx"
-    with pytest.raises(InvalidInputError, match=r"onnx without onnx\b.*fgrecon\[onnx\]"):
+    with pytest.raises(InvalidInputError, match=r"onnx without onnx\b.*pip install onnx"):
         chosen_runtime("onnx", "torch", packages=NEEDS)
     with pytest.raises(InvalidInputError, match="Give auto, onnx or torch"):
         KeypointCascade(runtime="caffe")
@@ -89,6 +89,13 @@ def test_the_runtime_is_chosen_by_what_is_installed(monkeypatch):
 def test_without_onnx_runtime_the_cascade_runs_on_torch(monkeypatch):
     monkeypatch.setattr(sessions, "find_spec", lambda name: None)
     assert KeypointCascade().runtime == "torch"
+
+
+def test_torch_is_needed_for_its_runtime_alone(monkeypatch):
+    monkeypatch.setitem(sys.modules, "fgrecon.perception.keypoints.on_torch", None)
+    assert KeypointCascade().runtime == "onnx"
+    with pytest.raises(MissingPackageError, match=r"pip install 'fgrecon\[torch\]'"):
+        KeypointCascade(runtime="torch")
 
 
 def test_what_is_no_network_is_refused(runtime):

@@ -94,7 +94,7 @@ def test_files_that_hold_no_network(tmp_path, runtime):
 
 @pytest.mark.parametrize("size", [(320, 960), (97, 61)])
 def test_boxes_are_the_same_on_every_runtime(size):
-    pytest.importorskip("onnxruntime", reason="the extra fgrecon[onnx] is not installed")
+    pytest.importorskip("onnxruntime", reason="it is not installed")
     detectors = [NanodetVehicleDetector(runtime=runtime) for runtime in ("opencv", "onnx")]
     assert [detector.runtime for detector in detectors] == ["opencv", "onnx"]
     picture = demo_scene(load_prior("car14"), 6).picture.image
@@ -108,7 +108,7 @@ def test_boxes_are_the_same_on_every_runtime(size):
 def test_without_onnx_runtime_the_detector_runs_on_opencv(monkeypatch):
     monkeypatch.setattr(sessions, "find_spec", lambda name: None)
     assert NanodetVehicleDetector().runtime == "opencv"
-    with pytest.raises(InvalidInputError, match=r"runtime.*fgrecon\[onnx\]"):
+    with pytest.raises(InvalidInputError, match=r"runtime.*pip install onnxruntime"):
         NanodetVehicleDetector(runtime="onnx")
 
 

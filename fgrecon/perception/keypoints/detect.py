@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_finite, as_rows
 from fgrecon.core.detection import Detection
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.core.observation import Observation
 from fgrecon.io.catalogue import load_category
 from fgrecon.perception.keypoints.crops import MARGIN, Crop, crop_of, extract
@@ -122,7 +122,8 @@ class KeypointCascade:
                 it is installed. Either has as many threads as cores are free now.
 
         Raises:
-            InvalidInputError: There is no such file, it holds no network, or the runtime is not installed.
+            InvalidInputError: There is no such file, it holds no network, or ONNX Runtime is not installed.
+            MissingPackageError: PyTorch is not.
         """
         named = None if weights is None else str(weights)
         path = shipped(named) if named in (None, WITHOUT_STREET) else Path(str(named))
@@ -157,7 +158,10 @@ class KeypointCascade:
 
             first = knet_on_onnx(self._layout, self._arrays, threads)
             return first, None if finer is None else refinement_on_onnx(finer, self._finer_arrays, threads)
-        from fgrecon.perception.keypoints.on_torch import knet_on_torch, refinement_on_torch
+        try:
+            from fgrecon.perception.keypoints.on_torch import knet_on_torch, refinement_on_torch
+        except ModuleNotFoundError as error:
+            raise MissingPackageError("fgrecon[torch]", "The keypoint networks on PyTorch") from error
 
         first = knet_on_torch(self._layout, self._arrays, self.device, threads)
         return first, None if finer is None else refinement_on_torch(finer, self._finer_arrays, self.device, threads)

@@ -1,4 +1,4 @@
-"""ONNX Runtime, which runs networks faster than PyTorch and OpenCV do; the extra `fgrecon[onnx]` installs it."""
+"""ONNX Runtime, which runs networks faster than PyTorch and OpenCV do, and how many threads networks have."""
 
 from __future__ import annotations
 
@@ -62,7 +62,9 @@ def chosen_runtime(asked: str, other: str, *, packages: Sequence[str], able: boo
         raise InvalidInputError("runtime", asked, f"Give auto, onnx or {other}.")
     missing = [name for name in packages if find_spec(name) is None]
     if asked == "onnx" and missing:
-        raise InvalidInputError("runtime", f"onnx without {', '.join(missing)}", "Install the extra `fgrecon[onnx]`.")
+        raise InvalidInputError(
+            "runtime", f"onnx without {', '.join(missing)}", f"Run: pip install {' '.join(missing)}"
+        )
     if asked == "onnx" and not able:
         raise InvalidInputError("runtime", "onnx on another device than the CPU", f"Give {other} or auto.")
     return other if asked == other or missing or not able else "onnx"
