@@ -69,6 +69,9 @@ class VehicleOptions:
         ),
     ] = None
     weights: WeightsOption = None
+    device: Annotated[
+        str, typer.Option(metavar="NAME", help="Where the networks run: cpu, or cuda, cuda:1 where there is a GPU.")
+    ] = "cpu"
     online: Annotated[
         bool, typer.Option("--online", help="Leave each estimate as it was when its frame came; else it is smoothed.")
     ] = False

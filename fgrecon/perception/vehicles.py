@@ -21,7 +21,7 @@ from fgrecon.io.integrity import check_hash, listed
 from fgrecon.io.isolated import Isolated
 from fgrecon.perception.keypoints.decode import sigmoid
 from fgrecon.perception.keypoints.detect import as_rgb8
-from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session, threads_of_networks
+from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session, runs_on, threads_of_networks
 
 Array = NDArray[np.float64]
 Names = NDArray[np.intp]
@@ -142,9 +142,10 @@ class NanodetVehicleDetector:
 
     Attributes:
         runtime: What runs it: "opencv" or "onnx". Boxes are the same to 0.01 pixels.
+        device: Where: `cpu`, or the given one where ONNX Runtime has it.
     """
 
-    def __init__(self, weights: str | Path | None = None, *, runtime: str = "auto") -> None:
+    def __init__(self, weights: str | Path | None = None, *, runtime: str = "auto", device: str = "cpu") -> None:
         """Load it.
 
         Args:
@@ -152,12 +153,15 @@ class NanodetVehicleDetector:
             runtime: What runs the network: "opencv"; "onnx", which is ONNX Runtime, with as many threads as cores are
                 free now, and not more than OpenCV has; or "auto", "onnx" where it is installed.
 
+            device: `cpu`, or that of a GPU, such as `cuda`; the processor where ONNX Runtime has it not.
+
         Raises:
             InvalidInputError: There is no such file, no network or another one in it, or the runtime is not installed.
         """
         import cv2
 
         self.runtime = chosen_runtime(runtime, "opencv", packages=["onnxruntime"])
+        self.device = device if self.runtime == "onnx" and runs_on(device) else "cpu"
         self._path = path = shipped() if weights is None else Path(weights)
         fix = "Give an ONNX file that `fgrecon vehicles convert` wrote."
         if not path.is_file():
@@ -168,7 +172,7 @@ class NanodetVehicleDetector:
             if path.name not in listed(path.parent):
                 with Isolated() as child:  # a damaged one can end the process that runs it
                     child("weights", _try, model, self.runtime)
-            self._network = _network_of(model, self.runtime)
+            self._network = _network_of(model, self.runtime, self.device)
             maps = self._network(np.zeros((1, 3, _LEAST_SIDE, _LEAST_SIDE), np.float32))
         except (OSError, InvalidInputError, cv2.error) as error:
             raise InvalidInputError("weights", str(path), fix) from error
@@ -178,7 +182,7 @@ class NanodetVehicleDetector:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How another process makes it: from the file, which must still be there."""
-        return partial(type(self), runtime=self.runtime), (self._path,)
+        return partial(type(self), runtime=self.runtime, device=self.device), (self._path,)
 
     def __call__(self, image: NDArray[Any], *, least_score: float | None = None) -> Vehicles:
         """The cars in an image.
@@ -250,12 +254,12 @@ def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float)
     return np.concatenate(boxes), np.concatenate(scores), np.concatenate(names)
 
 
-def _network_of(model: bytes, runtime: str) -> Network:
+def _network_of(model: bytes, runtime: str, device: str = "cpu") -> Network:
     import cv2
 
-    return (
-        open_session(model, min(cv2.getNumThreads(), threads_of_networks())) if runtime == "onnx" else _on_opencv(model)
-    )
+    if runtime != "onnx":
+        return _on_opencv(model)
+    return open_session(model, min(cv2.getNumThreads(), threads_of_networks()), device)
 
 
 def _try(model: bytes, runtime: str) -> None:

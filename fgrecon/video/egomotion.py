@@ -342,7 +342,7 @@ class _Problem:
             if still:
                 hessian[[3, 4, 5], [3, 4, 5]] += SETTINGS.standing_information_per_m2
             try:
-                step = np.linalg.solve(hessian + 1e-9 * np.eye(9), gradient)
+                step: Array = np.linalg.solve(hessian + 1e-9 * np.eye(9), gradient).astype(np.float64)
             except np.linalg.LinAlgError:
                 return None
             depth = depth + rows.depths(step)

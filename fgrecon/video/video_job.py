@@ -84,6 +84,7 @@ class VideoRequest:
         forget_ids: Whether those are given ids anew.
         box_model: What 2D boxes enclose; None for what their source says.
         weights: Keypoint network, or None for the shipped one.
+        device: Where the networks run: `cpu`, `cuda` or `cuda:1`.
         online: Whether estimates stay as they were when their frame came.
         alone: Whether every image is taken on its own: no motion, no smoothing.
         together: Whether the vehicles of an image share its ground.
@@ -105,6 +106,7 @@ class VideoRequest:
     forget_ids: bool = False
     box_model: BoxModel | None = None
     weights: Path | None = None
+    device: str = "cpu"
     online: bool = False
     alone: bool = False
     together: bool = True
@@ -291,7 +293,7 @@ def _camera(
     if size is not None:
         camera = replace(camera, image_size=size)
     if not known:
-        look = _detector(request.weights, settings, given)
+        look = _detector(request, settings, given)
         camera = _estimated_camera(source, look, settings, camera, warn)
     return replace(camera, focal_sigma=0.0), offset  # one focal length for all frames
 
@@ -312,12 +314,13 @@ def _estimated_camera(
     return found.camera
 
 
-def _detector(weights: Path | None, settings: RunSettings, given: Given | None) -> FrameDetector:
+def _detector(request: VideoRequest, settings: RunSettings, given: Given | None) -> FrameDetector:
     """What looks at the frames."""
+    whole = given is not None and given.complete
     return FrameDetector(
         settings.prior.category,
-        vehicle_detector=NanodetVehicleDetector() if given is None else None,
-        keypoint_detector=None if given is not None and given.complete else KeypointCascade(weights),
+        vehicle_detector=NanodetVehicleDetector(device=request.device) if given is None else None,
+        keypoint_detector=None if whole else KeypointCascade(request.weights, device=request.device),
         given=None if given is None else given.vehicles,
     )
 
@@ -359,7 +362,7 @@ def track_video(
         warnings.simplefilter("ignore", UncoveredFramesWarning)  # said below
         run = run_video(
             job.source,
-            _detector(request.weights, job.settings, given),
+            _detector(request, job.settings, given),
             follower,
             request.out,
             settings=job.records_depend_on,

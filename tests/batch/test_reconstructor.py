@@ -220,7 +220,7 @@ def test_networks_have_the_threads_that_were_asked_for(monkeypatch):
     torch = pytest.importorskip("torch")
     asked, before = [], (torch.get_num_threads(), cv2.getNumThreads())
     monkeypatch.setattr(
-        "fgrecon.perception.keypoints.on_onnx.open_session", lambda model, threads: asked.append(threads)
+        "fgrecon.perception.keypoints.on_onnx.open_session", lambda model, threads, device: asked.append(threads)
     )
     try:
         for loaded in (True, False):

@@ -14,7 +14,7 @@ from fgrecon.perception.keypoints import sessions
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.layout import KNetSettings, RefineSettings
 from fgrecon.perception.keypoints.network_file import save_weights
-from fgrecon.perception.keypoints.sessions import at_most, chosen_runtime, open_session, threads_of_networks
+from fgrecon.perception.keypoints.sessions import at_most, chosen_runtime, open_session, runs_on, threads_of_networks
 from fgrecon.simulation.demo import demo_scene
 from tests.perception.untrained import untrained
 
@@ -98,6 +98,38 @@ def test_torch_is_needed_for_its_runtime_alone(monkeypatch):
         KeypointCascade(runtime="torch")
 
 
+def test_a_device_that_is_not_there_is_refused():
+    assert not runs_on("tpu")
+    for device in ("cuda:99", "tpu"):
+        with pytest.raises(InvalidInputError, match=f"device.*{device}.*`cpu`"):
+            KeypointCascade(device=device)
+
+
+@pytest.mark.parametrize("name", ["onnx", "torch"])
+def test_a_gpu_finds_the_same_points(scenes, name):
+    if not (runs_on("cuda") if name == "onnx" else torch.cuda.is_available()):
+        pytest.skip(f"there is no GPU for {name}")
+    image, box = scenes[0].picture.image, scenes[0].observation.box
+    found, expected = (KeypointCascade(runtime=name, device=device)(image, [box])[0] for device in ("cuda", "cpu"))
+    close(found, expected, 0.05)  # arithmetic in other orders, perhaps of fewer digits
+
+
+def test_onnx_runtime_gets_the_device_and_its_number(monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        "onnxruntime.InferenceSession", lambda model, options, providers: asked.append(providers) or _Session()
+    )
+    for device in ("cpu", "cuda", "cuda:1"):
+        open_session(b"", 1, device)
+    cuda, cpu = "CUDAExecutionProvider", "CPUExecutionProvider"
+    assert asked == [[cpu], [cuda, cpu], [(cuda, {"device_id": 1}), cpu]]
+
+
+class _Session:
+    def get_inputs(self):
+        return ["image"]
+
+
 def test_what_is_no_network_is_refused(runtime):
     with pytest.raises(InvalidInputError, match="model"):
         open_session(b"text", 1)
@@ -106,7 +138,7 @@ def test_what_is_no_network_is_refused(runtime):
 def test_no_more_threads_than_torch_has(runtime, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "fgrecon.perception.keypoints.on_onnx.open_session", lambda model, threads: asked.append(threads)
+        "fgrecon.perception.keypoints.on_onnx.open_session", lambda model, threads, device: asked.append(threads)
     )
     monkeypatch.setattr(sessions, "free_cores", lambda: 1000)
     KeypointCascade(runtime="onnx")

@@ -117,7 +117,7 @@ def test_no_more_threads_than_opencv_has_and_cores_are_free(monkeypatch):
     asked = []
     maps = [np.zeros((1, vehicles.CHANNELS, 2, 2), np.float32) for _ in vehicles.STRIDES]
 
-    def opened(model, threads):
+    def opened(model, threads, device):
         asked.append(threads)
         return lambda blob: maps
 

@@ -36,7 +36,7 @@ from fgrecon.perception.keypoints.layout import (
 )
 from fgrecon.perception.keypoints.network_file import WITHOUT_STREET, check_arrays, load_weights, shipped
 from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
-from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, threads_of_networks
+from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, runs_on, threads_of_networks
 
 __all__ = [
     "REACH",
@@ -117,12 +117,13 @@ class KeypointCascade:
                 one that is shipped for general use.
             refine: Whether the refinement networks follow KNet, where the file has them.
             mirror: Whether KNet also looks at the mirror image, and the mean of both counts.
-            device: Torch's name of the device.
-            runtime: What runs the networks: "torch"; "onnx", which is ONNX Runtime on the CPU; or "auto", "onnx" where
-                it is installed. Either has as many threads as cores are free now.
+            device: `cpu`, or that of a GPU as PyTorch names it, such as `cuda` or `cuda:1`.
+            runtime: What runs the networks: "torch"; "onnx", which is ONNX Runtime; or "auto", "onnx" where it is
+                installed and has the device. Either has as many threads as cores are free now.
 
         Raises:
-            InvalidInputError: There is no such file, it holds no network, or ONNX Runtime is not installed.
+            InvalidInputError: There is no such file, it holds no network, ONNX Runtime is not installed, or nothing
+                runs networks on the device.
             MissingPackageError: PyTorch is not.
         """
         named = None if weights is None else str(weights)
@@ -131,7 +132,7 @@ class KeypointCascade:
         self.provenance = dict(stored.provenance)
         self.calibration: ConfidenceCalibration = stored.calibration
         self.device = device
-        self.runtime = chosen_runtime(runtime, "torch", packages=("onnx", "onnxruntime"), able=device == "cpu")
+        self.runtime = chosen_runtime(runtime, "torch", packages=("onnx", "onnxruntime"), able=runs_on(device))
         self.mirror = mirror
         self.category = stored.category
         category = load_category(stored.category)
@@ -156,13 +157,13 @@ class KeypointCascade:
         if self.runtime == "onnx":
             from fgrecon.perception.keypoints.on_onnx import knet_on_onnx, refinement_on_onnx
 
-            first = knet_on_onnx(self._layout, self._arrays, threads)
-            return first, None if finer is None else refinement_on_onnx(finer, self._finer_arrays, threads)
+            first = knet_on_onnx(self._layout, self._arrays, threads, self.device)
+            return first, None if finer is None else refinement_on_onnx(finer, self._finer_arrays, threads, self.device)
         try:
-            from fgrecon.perception.keypoints.on_torch import knet_on_torch, refinement_on_torch
+            from fgrecon.perception.keypoints.on_torch import check_device, knet_on_torch, refinement_on_torch
         except ModuleNotFoundError as error:
             raise MissingPackageError("fgrecon[torch]", "The keypoint networks on PyTorch") from error
-
+        check_device(self.device)
         first = knet_on_torch(self._layout, self._arrays, self.device, threads)
         return first, None if finer is None else refinement_on_torch(finer, self._finer_arrays, self.device, threads)
 

@@ -113,17 +113,17 @@ class _Graph:
         return bytes(helper.make_model(graph, opset_imports=[opset], ir_version=_FORMAT).SerializeToString())
 
 
-def knet_on_onnx(layout: KNetLayout, arrays: Mapping[str, Array], threads: int) -> Network:
+def knet_on_onnx(layout: KNetLayout, arrays: Mapping[str, Array], threads: int, device: str) -> Network:
     """KNet on crops (B, S, S, 3) of bytes, by its arrays as `KNetLayout` names them: see `networks.knet`."""
     graph, side = _Graph(arrays), layout.settings.crop
     outputs = knet(graph, layout, graph.node("Transpose", "crops", perm=[0, 3, 1, 2]))
     results = dict(zip(("likelihood", "visible", "azimuth", "kind"), outputs, strict=False))
-    return open_session(graph.model("crops", ("count", side, side, 3), results), threads)
+    return open_session(graph.model("crops", ("count", side, side, 3), results), threads, device)
 
 
-def refinement_on_onnx(layout: RefineLayout, arrays: Mapping[str, Array], threads: int) -> Network:
+def refinement_on_onnx(layout: RefineLayout, arrays: Mapping[str, Array], threads: int, device: str) -> Network:
     """The refinement networks on patches (M, 3 K, 32, 32) of bytes, likewise: see `networks.refinement`."""
     graph = _Graph(arrays)
     logs = refinement(graph, layout, "patches", PATCH * PATCH)
     shape = ("count", 3 * layout.head.groups, PATCH, PATCH)
-    return open_session(graph.model("patches", shape, {"logs": logs}), threads)
+    return open_session(graph.model("patches", shape, {"logs": logs}), threads, device)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.perception.keypoints.layout import MEAN, PATCH, SPREAD, KNetLayout, Layer, RefineLayout
 from fgrecon.perception.keypoints.networks import folded_arrays, knet, refinement
 from fgrecon.perception.keypoints.sessions import Network
@@ -68,6 +69,18 @@ class _Eager:
 
     def linear(self, x: Tensor, name: str) -> Tensor:
         return functional.linear(x, self.arrays[f"{name}.weight"], self.arrays[f"{name}.bias"])
+
+
+def check_device(device: str) -> None:
+    """Refuse a device that PyTorch has not.
+
+    Raises:
+        InvalidInputError: It has not, or the name is none.
+    """
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:  # how torch says so depends on how it was built
+        raise InvalidInputError("device", device, f"Give `cpu`: nothing here runs networks on it ({error}).") from error
 
 
 @contextmanager

@@ -19,6 +19,9 @@ from fgrecon.core.free_cores import free_cores
 Network = Callable[[NDArray[Any]], Sequence[NDArray[np.float32]]]
 """From the network's input to its outputs."""
 
+_PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+"""What ONNX Runtime calls what runs networks, by the device's name."""
+
 _MOST: ContextVar[int | None] = ContextVar("most", default=None)
 
 
@@ -46,6 +49,16 @@ def threads_of_networks() -> int:
     return int(asked) if asked.isdecimal() and int(asked) > 0 else free_cores()
 
 
+def runs_on(device: str) -> bool:
+    """Whether ONNX Runtime, where it is installed, runs networks on a device: `cpu`, `cuda` or `cuda:1`."""
+    kind = device.partition(":")[0]
+    if kind == "cpu" or kind not in _PROVIDERS or find_spec("onnxruntime") is None:
+        return kind == "cpu"
+    import onnxruntime
+
+    return _PROVIDERS[kind] in onnxruntime.get_available_providers()
+
+
 def chosen_runtime(asked: str, other: str, *, packages: Sequence[str], able: bool = True) -> str:
     """Either "onnx", or the name of what there is without it.
 
@@ -70,13 +83,15 @@ def chosen_runtime(asked: str, other: str, *, packages: Sequence[str], able: boo
     return other if asked == other or missing or not able else "onnx"
 
 
-def open_session(model: bytes, threads: int) -> Network:
-    """A network on the processor's cores.
+def open_session(model: bytes, threads: int, device: str = "cpu") -> Network:
+    """A network on the processor's cores, or on another device.
 
     Args:
         model: ONNX file, of a network with one input.
         threads: At most so many cores. They sleep when there is nothing to do: those that wait for work keep others'
             from the cores.
+
+        device: One that it `runs_on`.
 
     Raises:
         InvalidInputError: There is no network in it.
@@ -88,7 +103,7 @@ def open_session(model: bytes, threads: int) -> Network:
     options.intra_op_num_threads = max(threads, 1)
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
-        session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(model, options, providers=_providers(device))
     except (errors.Fail, errors.InvalidProtobuf, errors.InvalidGraph, errors.NotImplemented) as error:
         raise InvalidInputError("model", str(error), "Give an ONNX file of a network.") from error
     (entry,) = session.get_inputs()
@@ -98,3 +113,9 @@ def open_session(model: bytes, threads: int) -> Network:
         return outputs
 
     return run
+
+
+def _providers(device: str) -> list[Any]:
+    kind, _, number = device.partition(":")
+    first = (_PROVIDERS[kind], {"device_id": int(number)}) if number else _PROVIDERS[kind]
+    return [first] if kind == "cpu" else [first, _PROVIDERS["cpu"]]
