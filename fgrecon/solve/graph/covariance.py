@@ -58,30 +58,29 @@ class Spread:
             every: Where they are there, by key.
             selected: Keys of those that are needed; None for all.
         """
-        from scipy.linalg import lapack  # on use: the search has loaded it
-
         keys, cut = list(every), 0
         if selected is not None:  # last: the last rows of a triangular factor are the marginal's
             keys.sort(key=lambda key: key in selected)
             cut = sum(every[key].stop - every[key].start for key in keys if key not in selected)
             order = np.concatenate([np.arange(every[key].start, every[key].stop) for key in keys])
             information = information[order[:, None], order]
-        places, start = {}, 0
+        places, start = {}, -cut
         for key in keys:
             end = start + every[key].stop - every[key].start
-            places[key] = np.arange(start - cut, end - cut)
+            if start >= 0:
+                places[key] = np.arange(start, end)
             start = end
-        scale = np.sqrt(np.diag(information))
-        if not (np.isfinite(scale) & (scale > 0.0)).all():
+        scale = np.sqrt(information.diagonal())
+        if not (np.isfinite(scale).all() and scale.min(initial=np.inf) > 0.0):
             return None
-        root, failed = lapack.dpotrf(information / np.outer(scale, scale), lower=1)
-        if failed or not np.diag(root).min(initial=1.0) ** 2 > SETTINGS.undetermined_share:
+        try:
+            root = np.linalg.cholesky(information / np.outer(scale, scale))
+        except np.linalg.LinAlgError:
             return None
-        inverse, _ = lapack.dpotri(root[cut:, cut:], lower=1)
-        inverse += inverse.T  # it is a lower triangle
-        inverse[np.diag_indices_from(inverse)] /= 2.0
-        kept = {key: places[key] for key in keys if selected is None or key in selected}
-        return cls(kept, inverse / np.outer(scale[cut:], scale[cut:]))
+        if not root.diagonal().min(initial=1.0) ** 2 > SETTINGS.undetermined_share:
+            return None
+        half = np.linalg.inv(root[cut:, cut:]) / scale[cut:]
+        return cls(places, half.T @ half)
 
     def joint(self, keys: Sequence[int]) -> Array:
         """Of several variables, in the order of their keys."""
