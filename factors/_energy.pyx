@@ -641,7 +641,7 @@ cdef class ImageRows(Source):
         cdef int K = terms.keypoints, N = terms.coefficients
         self.terms, self.share, self.form, self.rows = terms, share, NEWTON, terms.rows
         self.on_ground, self.height_sigma = on_ground and terms.has_ground, 0.0
-        self.visibility, self.judged = np.ones(K), 2 * K + 5 if terms.is_bound else 0
+        self.visibility, self.judged = np.ones(K), 2 * K + 7 if terms.is_bound else 0
         self.right, self.wrong, self.edges = np.zeros(K), np.ones(K), np.ones(4)
         self.work = np.empty(14 * terms.points + 8 * (6 + N))
         self.take([(12, 6, True), (N, N, True), (3 * K, 3 * K, False)])
@@ -667,16 +667,15 @@ cdef class ImageRows(Source):
             self.height_sigma = self.terms.height_sigma_at(depth)
 
     cdef void judge(self, const double **at, bint look, double *found) noexcept nogil:
-        """Weights (K,), visibility (K,), weights of edges (4,), depth that the ground's uncertainty belongs to."""
+        """Weights (K,), visibility (K,), weights of edges (4,), energies of keypoints and box (2,), nats, and the depth."""
         cdef int K = self.terms.keypoints
-        cdef double energies[2]
         self.terms.judge(
             at[0], at[0] + 9, at[1], at[2], &self.visibility[0], look, found, &self.right[0], &self.wrong[0],
-            &self.edges[0], &self.work[0], energies
+            &self.edges[0], &self.work[0], found + 2 * K + 4
         )
         memcpy(found + K, &self.visibility[0], K * sizeof(double))
         memcpy(found + 2 * K, &self.edges[0], 4 * sizeof(double))
-        found[2 * K + 4] = at[0][11]
+        found[2 * K + 6] = at[0][11]
         if look and self.on_ground:
             self.height_sigma = self.terms.height_sigma_at(at[0][11])
 

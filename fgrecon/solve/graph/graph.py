@@ -233,7 +233,7 @@ class Graph:
         self._tell(before, form)
         found = self.system(values).judge(values, looks)
         weights = [
-            part.judged(one, None if look else w)
+            part.judged(values, one, None if look else w)
             for part, one, look, w in zip(self.observations, found, looks, before, strict=True)
         ]
         self._told = weights, form

@@ -11,10 +11,9 @@ import numpy as np
 class NewtonSettings:
     """Of Newton's method, for the mixture (`fgrecon.solve.graph.newton`). Where nothing else is said, not tuned."""
 
-    steady: float = 1e-8
-    """A step is the last if the next will move no variable by more (radians, metres, standard deviations of lambda)."""
-    steady_together: float = 1e-6
-    """The same where several images or vehicles are solved together: a micrometre, at two thirds of the iterations."""
+    steady: float = 1e-6
+    """A step is the last if the next will move no variable by more (radians, metres, standard deviations of lambda): a
+    micrometre, at two thirds of the iterations that 1e-8 needs."""
     followed_iterations: int = 25
     """For which visibility follows the pose."""
     held_iterations: int = 30

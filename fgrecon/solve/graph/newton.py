@@ -84,9 +84,7 @@ class Descent:
         self._in_vain = 0  # damped steps, one after the other, that gained a negligible energy
         self._swinging = _Swinging(len(start.weights))
         self._shared = not start.others.empty()
-        self._steady = (
-            (NEWTON.steady if len(start.weights) == 1 else NEWTON.steady_together) if steady is None else steady
-        )
+        self._steady = NEWTON.steady if steady is None else steady
 
     def run(self) -> None:
         """Go to a minimum.
@@ -179,7 +177,7 @@ class Descent:
         length = float(np.abs(step).max(initial=0.0))
         last = self._is_last(length)
         # So near the end nobody asks what it does to the energy.
-        unseen = last and self._steady <= NEWTON.steady_together
+        unseen = last and self._steady <= NEWTON.steady
         rise = NEWTON.negligible_rise
         energy = np.inf if unseen else energy_here() * (1.0 + rise) + rise
         further = steps.propose(step)
