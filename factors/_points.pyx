@@ -2,11 +2,21 @@
 # cython: freethreading_compatible=True
 """Measured points on a vehicle's surface, compiled: the equations are those of `factors.surface_points`."""
 
-from libc.math cimport INFINITY, exp, fabs, log, sqrt
+from libc.math cimport INFINITY, NAN, exp, fabs, log, sqrt
 
 import numpy as np
 
-cdef double PI = 3.14159265358979323846
+from factors._rows cimport Source
+
+from factors.mixture import STIFFEST
+
+cdef double PI = 3.14159265358979323846, STIFF = STIFFEST
+
+cdef enum Form:  # as `factors.mixture.Form`
+    WEIGHTED = 0
+    LOSS = 1
+    NEWTON = 2
+    MAJORISED = 3
 
 
 cdef class Points:
@@ -21,14 +31,15 @@ cdef class Points:
         raise TypeError("compiled Points cannot be copied or pickled")
 
     def __init__(
-        self, points, sigma, origin, mean, basis, normal, neighbours, first, grid, double spacing, size, size_basis,
-        odds, double share
+        self, points, sigma, origin, mean, basis, normal, off_normal, along_normal, neighbours, first, grid,
+        double spacing, size, size_basis, odds, double share
     ):
         """Bind the arrays.
 
         Args:
             points: (M, 3). sigma: (M,). origin: (3,).
-            mean: (P, 3). basis: (P, 3 N), of each patch its N vectors. normal: (P, 3). neighbours: (P, m).
+            mean: (P, 3). basis: (P, 3 N), of each patch its N vectors. normal: (P, 3). off_normal: (P,), along_normal:
+                (P, N), of centres and vectors along it. neighbours: (P, m).
             first: (3,). grid: (X, Y, Z). spacing: of the grid.
             size: (3,). size_basis: (3, N).
             odds: (8,) numbers of `factors.surface_points.PointOdds` in their order.
@@ -39,9 +50,7 @@ cdef class Points:
         self.size, self.size_basis, self.odds = size, size_basis, odds
         self.spacing, self.share, self.vehicle = spacing, share, odds[0]
         self.count, self.coefficients = points.shape[0], size_basis.shape[1]
-        self.off_normal = (np.asarray(mean) * normal).sum(axis=1)
-        vectors = np.asarray(basis).reshape(len(mean), self.coefficients, 3)
-        self.along_normal = np.ascontiguousarray((vectors * np.asarray(normal)[:, None]).sum(axis=-1))
+        self.off_normal, self.along_normal = off_normal, along_normal
 
     cdef void prepare(
         self, const double *R, const double *t, const double *x, double *size, double *sensor
@@ -227,3 +236,91 @@ cdef class Points:
                 for a in range(N):
                     J[i, 6 + a] = -self.along_normal[k, a] / self.sigma[i]
         return found, derivative if want else None
+
+
+cdef class PointSource(Source):
+    """Rows of measured points in a graph: of the pose and the coefficients.
+
+    Attributes:
+        points: The points.
+        form: How the mixture is handed to the solver, as `factors.mixture.Form`; without a Jacobian it is the loss.
+        share: Factor on the energy.
+    """
+
+    cdef readonly Points points
+    cdef public int form
+    cdef public double share, common
+    cdef bint told
+    cdef Py_ssize_t[::1] patch
+    cdef double[::1] right, wrong, weights
+
+    def __init__(self, Points points, double share):
+        """Bind the points."""
+        cdef int M = points.count, N = points.coefficients
+        self.points, self.share, self.common, self.form, self.rows, self.told = points, share, 1.0, NEWTON, M, False
+        self.patch, self.right, self.wrong = np.zeros(M, dtype=np.intp), np.zeros(M), np.ones(M)
+        self.weights = np.zeros(M)
+        self.take([(12, 6, True), (N, N, True)])
+
+    def tell(self, const Py_ssize_t[::1] patch, const double[::1] right, const double[::1] wrong, const double[::1] w):
+        """Set patches (M,), densities of right and of wrong points (M,), and weights (M,)."""
+        if patch.shape[0] != self.rows or right.shape[0] != self.rows or wrong.shape[0] != self.rows:
+            raise ValueError("patches and densities (M,) are expected")
+        self.patch[:], self.right[:], self.wrong[:], self.weights[:] = patch, right, wrong, w
+        self.told = True
+
+    cdef double fill(self, const double **at, double *r, double *J) noexcept nogil:
+        cdef const double *R = at[0]
+        cdef const double *t = at[0] + 9
+        cdef const double *x = at[1]
+        cdef const double *n
+        cdef double *row
+        cdef int a, b, i, k, N = self.points.coefficients
+        cdef double local[3]
+        cdef double size[3]
+        cdef double sensor[3]
+        cdef double d, s, inlier, weight, loss, rest, stretch, bend, energy = 0.0, root = sqrt(self.share)
+        if not self.told:
+            self.points.prepare(R, t, x, size, sensor)
+        for i in range(self.rows):
+            if self.told:
+                for a in range(3):
+                    local[a] = 0.0
+                    for b in range(3):
+                        local[a] += (self.points.points[i, b] - t[b]) * R[3 * b + a]
+            else:
+                self.patch[i] = self.points.match_one(
+                    i, R, t, x, size, sensor, local, &self.right[i], &self.wrong[i]
+                )
+            k = self.patch[i]
+            d = self.points.distance(i, k, local, x)
+            s = d * d
+            inlier = self.right[i] * exp(-0.5 * s)
+            weight = inlier / (inlier + self.wrong[i])
+            if not self.told:
+                self.weights[i] = weight
+            loss = log((self.right[i] + self.wrong[i]) / (inlier + self.wrong[i]))
+            if self.form == WEIGHTED:
+                stretch = bend = sqrt(self.weights[i] / self.common)
+            elif J == NULL or self.form == LOSS:
+                stretch = bend = sqrt(2.0 * loss / s) if s > 0.0 else sqrt(weight)
+            elif self.form == MAJORISED:
+                stretch = bend = sqrt(weight)
+            else:
+                rest = sqrt(max(1.0 - (1.0 - weight) * s, STIFF))
+                stretch, bend = sqrt(weight) / rest, sqrt(weight) * rest
+            energy += loss
+            r[i] = root * stretch * d
+            if J == NULL or bend == 0.0:
+                continue
+            row, n = J + i * (6 + N), &self.points.normal[k, 0]
+            bend *= root / self.points.sigma[i]
+            row[0] = bend * (n[1] * local[2] - n[2] * local[1])
+            row[1] = bend * (n[2] * local[0] - n[0] * local[2])
+            row[2] = bend * (n[0] * local[1] - n[1] * local[0])
+            for a in range(3):
+                row[3 + a] = -bend * n[a]
+            for a in range(N):
+                row[6 + a] = -bend * self.points.along_normal[k, a]
+        self.told = True
+        return NAN if self.form == WEIGHTED else self.share * energy

@@ -8,6 +8,8 @@ the neighbours of that patch, at their places by lambda.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +66,22 @@ class SurfacePatches:
         grid = _nearest(places.reshape(-1, 3) * SPACING + first, mean, 1)[:, 0].reshape(counts)
         neighbours = _nearest(mean, mean, min(NEIGHBOURS, len(mean)))
         return cls(mean, basis[:, faces].mean(axis=2)[:, kept], normal, neighbours, first, grid)
+
+    @cached_property
+    def packed(self) -> tuple[Any, ...]:
+        """Arguments of the compiled rows: centres, vectors, normals, both along these, neighbours, grid."""
+        vectors = np.ascontiguousarray(self.basis.transpose(1, 0, 2))
+        along = np.ascontiguousarray((vectors * self.normal[:, None]).sum(axis=-1))
+        return (
+            np.ascontiguousarray(self.mean),
+            vectors.reshape(len(self.mean), -1),
+            np.ascontiguousarray(self.normal),
+            (self.mean * self.normal).sum(axis=1),
+            along,
+            np.ascontiguousarray(self.neighbours),
+            self.first,
+            np.ascontiguousarray(self.grid),
+        )
 
     def looked_up(self, points: Array) -> NDArray[np.int32]:
         """(Q,) the patch of the mean shape next to each point (Q, 3), roughly."""

@@ -23,7 +23,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.guard import Evaluation, guarded_factor
+from factors.guard import CompiledRows, Evaluation, guarded_factor
 from factors.mixture import Form, mixture, robust_rows
 from factors.native import native
 from factors.surface_patches import SPACING, SurfacePatches
@@ -121,20 +121,21 @@ class PointRows:
         """What it is made of; another process compiles it again."""
         return {name: value for name, value in vars(self).items() if name != "compiled"}
 
+    @property
+    def kernel(self) -> Any:
+        """The module of the compiled rows, or None."""
+        return native("factors._points")
+
     @cached_property
     def compiled(self) -> Any:
         """The same rows compiled (`factors._points.Points`); None where there is no kernel."""
-        kernel = native("factors._points")
+        kernel = self.kernel
         if kernel is None:
             return None
         patches, arrays = self.patches, (self.points, self.sigma, self.origin)
-        vectors = patches.basis.transpose(1, 0, 2).reshape(len(patches.mean), -1)
         return kernel.Points(
-            *(np.ascontiguousarray(array, dtype=np.float64) for array in (*arrays, patches.mean, vectors)),
-            np.ascontiguousarray(patches.normal),
-            np.ascontiguousarray(patches.neighbours),
-            patches.first,
-            np.ascontiguousarray(patches.grid),
+            *(np.ascontiguousarray(array, dtype=np.float64) for array in arrays),
+            *patches.packed,
             SPACING,
             np.ascontiguousarray(self.size),
             np.ascontiguousarray(self.size_basis),
@@ -215,7 +216,11 @@ class SurfacePointsFactor:
         self.keys = tuple(key for key, _ in bound)
         self.dims = tuple(part.stop - part.start for _, part in bound)
         self._columns = np.concatenate([np.arange(part.start, part.stop) for _, part in bound] or [np.zeros(0, int)])
+        self._matches = 0
         self.form = Form.NEWTON
+        self._source: Any = None
+        if rows.compiled is not None:
+            self._source = rows.kernel.PointSource(rows.compiled, self._share)
         self._matched: tuple[tuple[Array, Array, Array], Match] | None = None
         self.weights = np.zeros(len(rows.points))
 
@@ -231,11 +236,20 @@ class SurfacePointsFactor:
         Near where they were matched last they keep their patches, and where that is requested.
         """
         state = self.state(values)
-        if self._matched is None or not (hold or _alike(self._matched[0], state)):
-            self._matched = state, self.rows.match(*state)
+        near = min(NEAR * NEARER**self._matches, NEAREST)
+        if self._matched is None or not (hold or _alike(self._matched[0], state, near)):
+            self._matched, self._matches = (state, self.rows.match(*state)), self._matches + 1
         match = self._matched[1]
         self.weights, energy = self.rows.assess(match, self.rows.distances(match, *state, want=False)[0])
+        if self._source is not None:
+            self._source.tell(match.patch, match.right, match.wrong, self.weights)
         return self._share_of_image * energy
+
+    def tell(self, form: Form, common_factor: float = 1.0) -> None:
+        """Set the form, and by how much less the points say with `Form.WEIGHTED`."""
+        self.form, self.common_factor = form, common_factor
+        if self._source is not None:
+            self._source.form, self._source.common = int(form), common_factor
 
     def energy(self, values: gtsam.Values) -> float:
         """The energy at the values with the patches of their own, nats; what is set stays as it is."""
@@ -266,14 +280,24 @@ class SurfacePointsFactor:
     @cached_property
     def factor(self) -> gtsam.CustomFactor:
         """The factor; of unit noise, since rows are whitened."""
-        return guarded_factor("points", 1.0, self.keys, self.dims, len(self.rows.points), self)
+        compiled = None if self._source is None else CompiledRows(self._source, (self._bound_pose, self._coefficients))
+        return guarded_factor("points", 1.0, self.keys, self.dims, len(self.rows.points), self, compiled=compiled)
+
+    @property
+    def _bound_pose(self) -> int | Array:
+        """The pose as compiled rows take it."""
+        pose = self._pose
+        return pose if isinstance(pose, int) else np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]])
 
 
 NEAR = 0.003
-"""Metres, radians and a tenth of a coefficient: points keep their patches where a vehicle moves by less."""
+"""Metres, radians and a tenth of a coefficient: points keep their patches where a vehicle moves by less at first."""
+
+NEARER, NEAREST = 1.5, 0.05
+"""By how much that grows with each match, and to what: matches that lead to and fro come to an end."""
 
 
-def _alike(one: tuple[Array, Array, Array], other: tuple[Array, Array, Array]) -> bool:
+def _alike(one: tuple[Array, Array, Array], other: tuple[Array, Array, Array], near: float) -> bool:
     """Whether two poses and shapes differ by so little that points keep their patches."""
     turn, shift, change = (float(np.abs(a - b).max(initial=0.0)) for a, b in zip(one, other, strict=True))
-    return max(turn, shift, 0.1 * change) < NEAR
+    return max(turn, shift, 0.1 * change) < near

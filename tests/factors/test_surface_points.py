@@ -93,7 +93,7 @@ def test_the_jacobian_is_the_numeric_one(rows: PointRows, form: Form) -> None:
     factor = SurfacePointsFactor(rows, X(0, 0), L(0))
     values = at(rows, CHANGE, np.array([0.3, -0.5]))
     factor.look(values)
-    factor.form = Form.WEIGHTED
+    factor.tell(Form.WEIGHTED)
     _, jacobian = factor(values, want_jacobian=True)
 
     def residual(key: int, value: object) -> np.ndarray:
@@ -103,7 +103,7 @@ def test_the_jacobian_is_the_numeric_one(rows: PointRows, form: Form) -> None:
     by_shape = numericalDerivative11(lambda x: residual(L(0), x), values.atVector(L(0)))
     numeric = np.hstack([by_pose, by_shape])
     assert jacobian == pytest.approx(numeric, abs=2e-5)
-    factor.form = form
+    factor.tell(form)
     rows_at, by = factor(values, want_jacobian=True)
     assert by is not None
     gradient = by.T @ rows_at
@@ -153,7 +153,7 @@ def test_points_bring_a_vehicle_to_its_place_and_size(rows: PointRows) -> None:
     for _ in range(15):
         factor.look(values)
         graph = gtsam.NonlinearFactorGraph()
-        factor.form = Form.MAJORISED
+        factor.tell(Form.MAJORISED)
         graph.add(factor.factor)
         graph.add(gtsam.PriorFactorVector(L(0), np.zeros(2), gtsam.noiseModel.Isotropic.Sigma(2, 1.0)))
         graph.add(gtsam.PriorFactorPose3(X(0, 0), values.atPose3(X(0, 0)), gtsam.noiseModel.Isotropic.Sigma(6, 0.2)))
@@ -184,3 +184,23 @@ def test_constants_are_no_variables(rows: PointRows) -> None:
     expected = whole(values, want_jacobian=True)[1]
     assert expected is not None
     assert held(values, want_jacobian=True)[1] == pytest.approx(expected[:, :6])
+
+
+@pytest.mark.skipif(native("factors._points") is None, reason="no compiled kernel")
+@pytest.mark.parametrize("form", [*Form])
+@pytest.mark.parametrize("looked", [True, False])
+def test_the_compiled_rows_of_a_graph_are_those_of_the_callback(rows: PointRows, form: Form, looked: bool) -> None:
+    callback = SurfacePointsFactor(rows, X(0, 0), L(0), share=0.5)
+    values = at(rows, CHANGE, np.array([0.3, -0.5]))
+    callback.tell(form, 4.0)
+    factor = callback.factor
+    if looked:
+        callback.look(values)
+    pose, coefficients = values.atPose3(X(0, 0)).matrix(), values.atVector(L(0))
+    state = [np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]]), coefficients]
+    residual, jacobian = np.empty(len(rows.points)), np.zeros((len(rows.points), 8))
+    factor.compiled.source.evaluate(state, residual, jacobian)
+    expected, by = callback(values, want_jacobian=True)
+    assert residual == pytest.approx(expected, abs=1e-9)
+    if form is not Form.LOSS:  # which has no derivatives
+        assert jacobian == pytest.approx(by, abs=1e-8)

@@ -273,7 +273,7 @@ class Graph:
             else:
                 part.tell(weight, form)
         for points in self.points:
-            points.form, points.common_factor = form, 1.0
+            points.tell(form)
         self._told = weights, form
 
     def step(self, values: gtsam.Values, weights: Sequence[Weights], form: Form) -> tuple[Array, Callable[[], float]]:
@@ -321,7 +321,7 @@ class Graph:
         for part, weight in zip(self.observations, weights, strict=True):
             part.tell(weight, form)
         for points in self.points:
-            points.form, points.common_factor = form, common
+            points.tell(form, common)
         graph = gtsam.NonlinearFactorGraph()
         for factor in factors:
             graph.add(factor)
@@ -339,7 +339,7 @@ class Graph:
         for part, weight in zip(self.observations, weights, strict=True):
             part.tell(weight, Form.WEIGHTED)
         for points in self.points:
-            points.form, points.common_factor = Form.WEIGHTED, POINTS.common_factor
+            points.tell(Form.WEIGHTED, POINTS.common_factor)
         return self.system(values)
 
     def terms(self, weights: Sequence[Weights]) -> Iterator[tuple[str, list[gtsam.NonlinearFactor]]]:

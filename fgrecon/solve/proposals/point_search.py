@@ -32,13 +32,20 @@ def search_with_points(problem: Problem, pictured: Hypotheses) -> SearchResult:
         problem: With a term of points, and all coefficients.
         pictured: Poses that the picture alone leads to, with all coefficients.
     """
-    energy = problem.energy
-    assert energy.points is not None
-    rough = replace(energy, points=PointTerm(_roughly(energy.points.rows)))
+    assert problem.energy.points is not None
+    energy = replace(problem.energy, points=PointTerm(_some(problem.energy.points.rows)))
+    rough = replace(energy, points=PointTerm(_roughly(_some(problem.energy.points.rows))))
     starts = _starts(problem, pictured)
     best = search(rough, starts, 0, {}).hypotheses.take(np.arange(min(POINTS.rough_starts, len(starts))))
     near = search(rough, best, POINTS.rough_iterations, {}).hypotheses
     return search(energy, near, POINTS.iterations, {POINTS.kept_from_iteration: POINTS.kept_hypotheses})
+
+
+def _some(rows: PointRows) -> PointRows:
+    """Some of the points, which have the energy of all."""
+    every = -(-len(rows.points) // POINTS.searched_points)
+    points, sigma = rows.points[::every], rows.sigma[::every]
+    return replace(rows, points=points, sigma=sigma, share=rows.share * len(rows.points) / len(points))
 
 
 def _roughly(rows: PointRows) -> PointRows:

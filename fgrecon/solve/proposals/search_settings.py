@@ -99,15 +99,17 @@ class PointSettings:
     """Length, width and height of a second kind of vehicle to start with: a van."""
     rough_sigma_m: float = 0.3
     """Of points at first."""
-    rough_starts: int = 12
+    searched_points: int = 64
+    """Of a vehicle in the search; the graph has all. Not tuned."""
+    rough_starts: int = 6
     """Starts that are refined roughly."""
-    rough_iterations: int = 5
+    rough_iterations: int = 4
     """Of them."""
-    iterations: int = 5
+    iterations: int = 4
     """After those."""
-    kept_from_iteration: int = 2
+    kept_from_iteration: int = 1
     """Iteration from which only the best go on."""
-    kept_hypotheses: int = 4
+    kept_hypotheses: int = 3
     """How many of them."""
 
 
