@@ -19,6 +19,7 @@ from fgrecon.io.keypoints.names import Names, NamesLike, naming_of, parse_names,
 from fgrecon.io.keypoints.network_records import network_instances, network_records
 from fgrecon.io.keypoints.network_results import is_network_result, object_records
 from fgrecon.io.keypoints.records import NOT_JSON, named_records
+from fgrecon.io.keypoints.tool_records import is_tool_file, tool_records
 from fgrecon.io.keypoints.translate import translated
 
 _Records = Iterable[tuple[Mapping[str, Any] | InvalidInputError, str]]
@@ -27,7 +28,7 @@ _Records = Iterable[tuple[Mapping[str, Any] | InvalidInputError, str]]
 def read_any_keypoints(
     path: Path, category: Category, names: NamesLike | None = None, image: str | None = None
 ) -> KeypointFile:
-    """Read a file of keypoints: fgrecon's own JSON, COCO's or OpenPifPaf's JSON, CarFusion's text, PASCAL3D+'s MATLAB.
+    """Read a file of keypoints: fgrecon's own JSON, that of COCO, networks or annotation tools, or one that is no JSON.
 
     Args:
         path: The file.
@@ -63,6 +64,8 @@ def parse_any_keypoints(
     known = None if names is None else parse_names(names, category)
     if is_annotations(data):
         return _parsed(annotation_records(data, where), category, known, image, where)
+    if is_tool_file(data):
+        return _parsed(tool_records(data, where), category, known, image, where)
     if (found := network_instances(data)) is not None:
         return _parsed(network_records(found, category, known, where), category, known, image, where)
     entries = data if isinstance(data, list) else [data]

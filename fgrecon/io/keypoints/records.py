@@ -21,6 +21,7 @@ from fgrecon.io.keypoints.coco_records import annotation_records, is_annotations
 from fgrecon.io.keypoints.names import naming_of, scheme_keypoints
 from fgrecon.io.keypoints.network_records import network_instances
 from fgrecon.io.keypoints.pascal3d import read_anchors
+from fgrecon.io.keypoints.tool_records import cvat_records, is_tool_file, tool_records
 
 _CAMERA = ("K", "intrinsics", "distortion", "image_size")
 
@@ -44,6 +45,8 @@ def keypoint_records(path: Path, category: Category) -> list[Any]:
         return _frames(data, path)
     if is_annotations(data):
         return [record for record, _ in annotation_records(data, f"{path}: ")]
+    if is_tool_file(data):
+        return [record for record, _ in tool_records(data, f"{path}: ")]
     if (found := network_instances(data)) is not None:
         return list(found)
     refuse_results(data, f"{path}: ")
@@ -59,7 +62,7 @@ def keypoint_records(path: Path, category: Category) -> list[Any]:
     ]
 
 
-def named_records(path: Path, category: Category) -> Iterator[tuple[Record, str]]:
+def named_records(path: Path, category: Category) -> Iterator[tuple[Record | InvalidInputError, str]]:
     """The vehicles of a file that is no JSON, their points by name, and what errors about each begin with.
 
     Raises:
@@ -139,9 +142,10 @@ def _numbers(line: str, where: str, count: int) -> list[float]:
     return values
 
 
-_READERS: Mapping[str, Callable[[Path, Category], Iterator[tuple[Record, str]]]] = {
+_READERS: Mapping[str, Callable[[Path, Category], Iterator[tuple[Record | InvalidInputError, str]]]] = {
     ".mat": _anchors,  # PASCAL3D+
     ".txt": lambda path, _: carfusion_records(path),
+    ".xml": lambda path, _: cvat_records(path),
 }
 
 NOT_JSON = tuple(_READERS)

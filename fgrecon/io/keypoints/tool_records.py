@@ -1,0 +1,200 @@
+"""Instances of annotation tools' own files: Label Studio's tasks, labelme's files, CVAT's XML for images.
+
+| from | a vehicle is | its points |
+|---|---|---|
+| Label Studio | a rectangle, and keypoints whose `parentID` it is; else all of a task | parts of a hundred |
+| labelme | shapes of one `group_id`; else all without one | shapes `point`, by their labels |
+| CVAT | a skeleton; or points and a box of one `group_id` | by their labels, but for those outside |
+
+A box of Label Studio that is turned is the one around it. A point that is hidden (`occluded` of CVAT) is as likely
+right as wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.io.json_fields import Fields
+
+Record = dict[str, Any]
+_Records = Iterator[tuple[Record | InvalidInputError, str]]
+_HUNDRED = 100.0  # Label Studio's unit is a hundredth of the image
+
+
+def is_tool_file(data: Any) -> bool:
+    """Whether the content of a JSON file is Label Studio's tasks or labelme's."""
+    if isinstance(data, Mapping):
+        return isinstance(data.get("shapes"), list) and "imagePath" in data
+    return isinstance(data, list) and bool(data) and all(_is_task(item) for item in data)
+
+
+def _is_task(item: Any) -> bool:
+    return isinstance(item, Mapping) and isinstance(item.get("annotations"), list) and "data" in item
+
+
+def tool_records(data: Any, where: str) -> _Records:
+    """The vehicles of `is_tool_file`'s content in the layout of a keypoint file; one that is malformed is its error.
+
+    Args:
+        data: The content of the file.
+        where: What errors begin with.
+
+    Raises:
+        InvalidInputError: The file's frame is malformed; names the field.
+    """
+    return _labelme(Fields(data, where)) if isinstance(data, Mapping) else _label_studio(data, where)
+
+
+def _label_studio(tasks: Sequence[Any], where: str) -> _Records:
+    for number, task in enumerate(tasks):
+        image = next((value for value in task["data"].values() if isinstance(value, str)), None)
+        name = {} if image is None else {"image": image.rsplit("/", 1)[-1].partition("?")[0]}
+        for at, annotation in enumerate(task["annotations"]):
+            place = f"{where}[{number}].annotations[{at}]."
+            results = Fields(annotation, place).get("result", list)
+            for key, found in _of_regions(results).items():
+                try:
+                    record = _of_region(found, place)
+                except InvalidInputError as error:
+                    yield error, place
+                    continue
+                if record["keypoints"]:
+                    yield {"id": f"{task.get('id', number)}:{key}"} | name | record, place
+
+
+def _of_regions(results: Sequence[Any]) -> dict[str, list[Any]]:
+    """The regions of each vehicle, by the rectangle; of points without one all of a task."""
+    boxes = [item for item in results if isinstance(item, Mapping) and item.get("type") == "rectanglelabels"]
+    known = {str(box.get("id")) for box in boxes}
+    only = next(iter(known)) if len(known) == 1 else "0"
+    found: dict[str, list[Any]] = defaultdict(list)
+    for item in results:
+        kind = item.get("type") if isinstance(item, Mapping) else None
+        if kind == "rectanglelabels":
+            found[str(item.get("id"))].append(item)
+        elif kind == "keypointlabels":
+            parent = str(item.get("parentID"))
+            found[parent if parent in known else only].append(item)
+    return found
+
+
+def _of_region(items: Sequence[Any], where: str) -> Record:
+    record: Record = {"keypoints": {}}
+    for item in items:
+        fields = Fields(item, f"{where}{item.get('id')}.")
+        value = Fields(fields.get("value", dict), f"{fields.where}value.")
+        size = [float(fields.numbers(name, ())) / _HUNDRED for name in ("original_width", "original_height")]
+        x, y = (float(value.numbers(name, ())) * unit for name, unit in zip("xy", size, strict=True))
+        label = _first(value, str(item["type"]))
+        if item["type"] == "keypointlabels":
+            record["keypoints"][label] = [x, y]
+            continue
+        width, height = (float(value.numbers(n, ())) * u for n, u in zip(("width", "height"), size, strict=True))
+        turn = math.radians(float(value.numbers("rotation", ()))) if "rotation" in value else 0.0
+        across, down = (
+            (width * math.cos(turn), width * math.sin(turn)),
+            (-height * math.sin(turn), height * math.cos(turn)),
+        )
+        corners = [(x + i * across[0] + j * down[0], y + i * across[1] + j * down[1]) for i in (0, 1) for j in (0, 1)]
+        us, vs = zip(*corners, strict=True)
+        record |= {"box": [min(us), min(vs), max(us), max(vs)], "kind": "_".join(label.split())}
+    return record
+
+
+def _first(value: Fields, name: str) -> str:
+    labels = value.get(name, list)
+    if not labels:
+        raise InvalidInputError(f"{value.where}{name}", "none", "Give the label of the region.")
+    return str(labels[0])
+
+
+def _labelme(fields: Fields) -> _Records:
+    groups: dict[Any, list[Fields]] = defaultdict(list)
+    for number, item in enumerate(fields.get("shapes", list)):
+        shape = Fields(item, f"{fields.where}shapes[{number}].")
+        groups[shape.data.get("group_id")].append(shape)
+    for group, shapes in groups.items():
+        record: Record = {"id": 0 if group is None else group, "keypoints": {}}
+        record["image"] = Path(fields.get("imagePath", str).replace("\\", "/")).name
+        try:
+            for shape in shapes:
+                kind = shape.get("shape_type", str)
+                if kind == "point":
+                    record["keypoints"][shape.get("label", str)] = shape.numbers("points", (1, 2))[0].tolist()
+                elif kind == "rectangle":
+                    low, high = shape.numbers("points", (2, 2))
+                    record["box"] = [*map(min, low, high), *map(max, low, high)]
+                    record["kind"] = "_".join(shape.get("label", str).split())
+        except InvalidInputError as error:
+            yield error, fields.where
+            continue
+        if record["keypoints"]:
+            yield record, fields.where
+
+
+def cvat_records(path: Path) -> _Records:
+    """The vehicles of CVAT's XML for images, as `tool_records` gives them.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or is another XML; names it.
+    """
+    try:
+        root = ET.parse(path).getroot()  # noqa: S314  # expat bounds what entities may expand to
+    except (OSError, ET.ParseError) as error:
+        raise InvalidInputError(str(path), str(error), "Give an XML file of CVAT.") from error
+    if root.tag != "annotations" or root.find("image") is None:
+        raise InvalidInputError(str(path), root.tag, "Give CVAT's XML for images (CVAT for images 1.1).")
+    for image in root.iter("image"):
+        name, where = image.get("name", ""), f"{path}: image {image.get('name')}: "
+        found: dict[str, Record] = {}
+        try:
+            for number, shape in enumerate(image):
+                _take(shape, number, found, where)
+        except InvalidInputError as error:
+            yield error, where
+            continue
+        for key, record in found.items():
+            if record["keypoints"]:
+                yield {"id": f"{image.get('id', '')}:{key}", "image": Path(name).name} | record, where
+
+
+def _take(shape: ET.Element, number: int, found: dict[str, Record], where: str) -> None:
+    """Put a shape of an image to its vehicle."""
+    group = shape.get("group_id")
+    if shape.tag == "skeleton":
+        record = found.setdefault(f"skeleton{number}" if group is None else group, {"keypoints": {}})
+        record["kind"] = "_".join(shape.get("label", "").split())
+        for point in shape.iter("points"):
+            _point(point, record, where)
+    elif shape.tag == "points":
+        _point(shape, found.setdefault(group or "0", {"keypoints": {}}), where)
+    elif shape.tag == "box" and group is not None:
+        corners = [_number(shape, name, where) for name in ("xtl", "ytl", "xbr", "ybr")]
+        found.setdefault(group, {"keypoints": {}})["box"] = corners
+
+
+def _point(point: ET.Element, record: Record, where: str) -> None:
+    if point.get("outside") == "1":
+        return
+    words = point.get("points", "").split(",")
+    try:
+        u, v = (float(word) for word in words)
+    except ValueError:
+        label = point.get("label")
+        raise InvalidInputError(f"{where}{label}", point.get("points"), "Give one point: u,v.") from None
+    hidden = [Observation.confidence_midpoint] if point.get("occluded") == "1" else [1.0]
+    record["keypoints"][point.get("label", "")] = [u, v, *hidden]
+
+
+def _number(shape: ET.Element, name: str, where: str) -> float:
+    try:
+        return float(shape.get(name, ""))
+    except ValueError:
+        raise InvalidInputError(f"{where}{shape.tag}.{name}", shape.get(name), "Give a number.") from None
