@@ -46,7 +46,7 @@ def test_nuscenes_boxes_and_tracks(submitted, result):
     assert {token: len(boxes) for token, boxes in found.items()} == {"s0": 1, "s1": 0}
     (box,) = found["s0"]
     assert (box["tracking_id"], box["tracking_name"], box["velocity"]) == ("7", "car", [1.0, 2.0])
-    assert isinstance(box["tracking_score"], float)  # the devkit refuses 1 and takes 1.0
+    assert isinstance(box["tracking_score"], float)
     middle = corners_in(info.world_T_camera, result).mean(axis=0)
     assert np.abs(middle - box["translation"]).max() < METRES
 
