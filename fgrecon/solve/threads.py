@@ -16,7 +16,7 @@ from functools import wraps
 from threading import Lock, get_ident
 from typing import Any, ParamSpec, TypeVar
 
-from fgrecon.core.lapack import lapack
+from fgrecon.core.compiled import lapack
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.compiled import assignment
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, transform
 
@@ -226,12 +227,10 @@ class GatedAssociation:
         self, time: float, tracks: Sequence[_Track], candidates: Sequence[Candidate], places: Sequence[int]
     ) -> list[tuple[int, int]]:
         """Pairs of a track and one of these places of candidates, of least cost in all that the gates let pass."""
-        from scipy.optimize import linear_sum_assignment
-
         if not (tracks and places):
             return []
         costs = self._costs(time, tracks, [candidates[place] for place in places])
-        rows, columns = linear_sum_assignment(costs)
+        rows, columns = assignment().linear_sum_assignment(costs)
         return [(int(r), places[c]) for r, c in zip(rows, columns, strict=True) if costs[r, c] < _REFUSED]
 
     def _costs(self, time: float, tracks: Sequence[_Track], candidates: Sequence[Candidate]) -> Array:

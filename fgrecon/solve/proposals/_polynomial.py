@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.native import native
-from fgrecon.core.lapack import lapack, pivots_of_qr
+from fgrecon.core.compiled import lapack, pivots_of_qr
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
