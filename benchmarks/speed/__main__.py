@@ -122,6 +122,7 @@ class Run:
 
 RUN_PARTS: dict[str, Callable[[SideBySide], Table]] = {
     "runs": SideBySide.runs,
+    "shares": SideBySide.shares,
     "delays": SideBySide.delays,
     "parts": SideBySide.parts,
     "batch": SideBySide.batch,

@@ -38,7 +38,8 @@ class Build:
     @property
     def environment(self) -> dict[str, str]:
         """Variables of its processes: those of this one, and of them no `PYTHONPATH` unless it has folders."""
-        given = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        left_out = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE")  # an installed build has its bytecode
+        given = {name: value for name, value in os.environ.items() if name not in left_out}
         if not self.path:
             return given
         places = [*map(str, self.path), *filter(None, [os.environ.get("PYTHONPATH")])]

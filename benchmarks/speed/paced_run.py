@@ -2,7 +2,8 @@
 
 It is started as a file, with a file for the report, seconds from frame to frame (0: as fast as they are read) and the
 arguments of `fgrecon`; the package is the one that the interpreter finds. What it wraps has these names in all builds
-that are compared: `ImageFrames.read` and `Follower.__call__`.
+that are compared, but for what estimates the camera's motion. The CPU time of a stage is that of the thread that it is
+in.
 """
 
 from __future__ import annotations
@@ -10,18 +11,25 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from fgrecon.cli.main import app
 from fgrecon.io.frames import ImageFrames
+from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.perception.vehicles import NanodetVehicleDetector
+from fgrecon.solve.tracker import Tracker
 from fgrecon.video.follow import Follower
 
 came: dict[int, float] = {}
 done: dict[int, float] = {}
 memory: list[float] = []
+spent: defaultdict[str, float] = defaultdict(float)
+"""Seconds of CPU by stage."""
 
 
 def resident() -> float:
@@ -40,7 +48,9 @@ def pace(interval: float) -> None:
             due = began + place * interval
             time.sleep(max(0.0, due - time.perf_counter()))
             arrived = due if interval else time.perf_counter()
+            before = time.thread_time()
             frame = next(frames, None)
+            spent["reading"] += time.thread_time() - before
             if frame is None:
                 return
             came[frame.number] = arrived
@@ -55,14 +65,42 @@ def pace(interval: float) -> None:
     ImageFrames.read, Follower.__call__ = paced, followed  # type: ignore[method-assign]
 
 
+def clock(owner: type, name: str, stage: str) -> None:
+    """Count the CPU time of a method for a stage."""
+    inner = getattr(owner, name)
+
+    def counted(*args: Any, **kwargs: Any) -> Any:
+        before = time.thread_time()
+        try:
+            return inner(*args, **kwargs)
+        finally:
+            spent[stage] += time.thread_time() - before
+
+    setattr(owner, name, counted)
+
+
+def motion_stage() -> type:
+    """What estimates the camera's motion; its name in the first of the builds was another one."""
+    try:
+        return import_module("fgrecon.video.motion_estimator").MotionEstimator
+    except ModuleNotFoundError:
+        return import_module("fgrecon.video.motion_look").MotionLook
+
+
 def main() -> None:
     """Run, and write the report."""
     report, interval, *arguments = sys.argv[1:]
+    clock(Follower, "__call__", "solving")
     pace(float(interval))
+    clock(NanodetVehicleDetector, "__call__", "car detector")
+    clock(KeypointCascade, "__call__", "keypoint networks")
+    clock(motion_stage(), "__call__", "the camera's motion")
+    clock(Tracker, "smooth", "smoothing")
     with suppress(SystemExit):
         app(arguments)
     delays = [done[number] - came[number] for number in sorted(done)]
-    Path(report).write_text(json.dumps({"delays": delays, "memory": memory}), encoding="utf-8")
+    spent["start, files, the rest"] = time.process_time() - sum(spent.values())
+    Path(report).write_text(json.dumps({"delays": delays, "memory": memory, "spent": spent}), encoding="utf-8")
 
 
 if __name__ == "__main__":

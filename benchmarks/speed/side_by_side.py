@@ -104,6 +104,19 @@ class SideBySide:
         )
         return table
 
+    def shares(self) -> Table:
+        """Where each millisecond goes: CPU time of the stages of a smoothed run."""
+
+        def measure(build: Build) -> Numbers:
+            self._paced(build, 0.0, self.drive)
+            spent = json.loads((self.folder / "paced.json").read_text(encoding="utf-8"))["spent"]
+            each = {name: 1e3 * seconds / self.frames for name, seconds in spent.items()}
+            return each | {"all": sum(each.values())}
+
+        table = Table(f"CPU ms a frame by stage, {self.frames} frames, smoothed", COLUMNS)
+        table.rows = self.rows("", measure)
+        return table
+
     def memory(self) -> Table:
         """Memory over many frames, those of the drive to and fro."""
         images = self.folder / "long" / "image_02"

@@ -16,7 +16,7 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SIZE_PRIORS
-from fgrecon.solve.graph.covariance import factorise, read_covariances
+from fgrecon.solve.graph.covariance import marginals_of, read_covariances
 from fgrecon.solve.graph.graph import Graph, GraphObservation
 from fgrecon.solve.graph.multi_start import MultiStartResult, minimise_from_proposals, start_state
 from fgrecon.solve.graph.solver import minimise
@@ -64,7 +64,7 @@ class Car:
         """Covariances at the result."""
         graph, state = self.adjusted.graph, self.adjusted.optimum.state
         values = graph.values(state)
-        marginals = factorise(graph.build(state.weights), values)
+        marginals = marginals_of(graph, values, state.weights)
         return read_covariances(graph.observations[0], state.weights[0], values, marginals)
 
     def everything(self, *, history: bool = False) -> object:
