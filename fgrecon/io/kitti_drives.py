@@ -47,6 +47,7 @@ class DriveFrame:
         calibration: The camera, and the labels' offset in its frame.
         time: When the image was taken, seconds, or None.
         world_T_camera: (4, 4) pose of the camera in the drive's world, or None.
+        sweep: File of a LiDAR's points, where the data set names it; KITTI's lie beside the images.
     """
 
     number: int
@@ -58,6 +59,7 @@ class DriveFrame:
     calibration: KittiCalibration
     time: float | None = None
     world_T_camera: NDArray[np.float64] | None = None
+    sweep: Path | None = None
 
     @property
     def seconds(self) -> float:

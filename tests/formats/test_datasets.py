@@ -202,3 +202,15 @@ def test_a_malformed_box_of_cityscapes_is_named(tmp_path):
     path.write_text(json.dumps(data))
     with pytest.raises(InvalidInputError, match=r"objects\[2\]\.3d\.rotation"):
         open_drive(f"{tmp_path}#aachen")
+
+
+def test_the_sweep_of_a_sample_is_in_the_cameras_frame(tmp_path):
+    from fgrecon_research.io.drive_sensors import Sensor, lidar_points, with_sensors
+
+    folder = made_up.write_nuscenes(tmp_path)
+    drive = with_sensors(open_drive(f"{folder}#CAM_FRONT"), [Sensor.LIDAR])
+    assert [frame.labelled for frame in drive.frames] == [True, True]
+    frame = drive.frames[0]
+    world_T_lidar = made_up.world_T_vehicle(made_up.TIMES_NS[0])  # its points are at the origin of the LiDAR
+    expected = np.linalg.inv(frame.world_T_camera) @ world_T_lidar[:, 3]
+    assert np.abs(lidar_points(frame)[0] - expected[:3]).max() < METRES

@@ -60,7 +60,6 @@ def read(path: Path, sequence: str | None) -> DataSequence:
             time=time * _SECONDS,
             world_T_vehicle=_pose_at(poses, time, log),
             boxes=tuple(found),
-            sweep=log / "sensors" / "lidar" / f"{time}.feather",  # whose points are in the vehicle's frame already
         )
         for time, found in boxes.items()
     }

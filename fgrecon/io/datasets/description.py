@@ -131,7 +131,7 @@ class Moment:
         world_T_vehicle: (4, 4) pose of the vehicle then.
         boxes: The objects.
         sweep: File of the LiDAR's points, or None.
-        vehicle_T_lidar: (4, 4) how the LiDAR is mounted; the points of `sweep` are in its frame.
+        world_T_lidar: (4, 4) pose of the LiDAR then, in whose frame the points are, or None.
     """
 
     name: str
@@ -139,7 +139,7 @@ class Moment:
     world_T_vehicle: Array
     boxes: tuple[WorldBox, ...]
     sweep: Path | None = None
-    vehicle_T_lidar: Array = field(default_factory=lambda: np.eye(4))
+    world_T_lidar: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +217,10 @@ def images_there(drive: DataSequence, images: tuple[CameraImage, ...]) -> tuple[
 
 
 def _frame(number: int, image: CameraImage, drive: DataSequence, tracks: dict[str, int]) -> DriveFrame:
-    boxes = () if image.moment is None else drive.moments[image.moment].boxes
+    moment = None if image.moment is None else drive.moments[image.moment]
+    boxes = () if moment is None else moment.boxes
+    place = None if moment is None else moment.world_T_lidar
+    camera_T_lidar = None if place is None else np.linalg.inv(image.world_T_camera).astype(np.float64) @ place
     seen = [(box, row) for box in boxes if (row := _row(box, image)) is not None]
     kinds = [drive.cars.get(box.kind, "_".join(box.kind.split())) for box, _ in seen]
     objects = Objects.of_rows(kinds, np.array([row for _, row in seen]))
@@ -228,9 +231,10 @@ def _frame(number: int, image: CameraImage, drive: DataSequence, tracks: dict[st
         tracks=np.array([tracks.setdefault(box.track or box.name, len(tracks)) for box, _ in seen], dtype=np.int64),
         usable=np.ones(len(seen), dtype=bool),
         labelled=image.moment is not None,
-        calibration=KittiCalibration(image.lens, np.zeros(3)),
+        calibration=KittiCalibration(image.lens, np.zeros(3), camera_T_lidar),
         time=image.time if drive.continuous else None,
         world_T_camera=image.world_T_camera if drive.continuous else None,
+        sweep=None if moment is None else moment.sweep,
     )
 
 

@@ -63,7 +63,6 @@ def read(path: Path, sequence: str | None) -> DataSequence:
             time=frame / _RATE,
             world_T_vehicle=pose,
             boxes=tuple(boxes[frame]),
-            sweep=path / "data_3d_raw" / name / "velodyne_points" / "data" / f"{frame:010d}.bin",
         )
         for frame, pose in poses.items()
         if frame in boxes

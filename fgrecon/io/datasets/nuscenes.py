@@ -72,7 +72,7 @@ def read(path: Path, sequence: str | None) -> DataSequence:
         if sensor.data.get("camera_intrinsic"):
             images.append(_image(record, sensor, channel, file, place, sample if key else None))
         elif key and (channel.startswith("LIDAR") and (sample not in sweeps or channel < sweeps[sample][0].name)):
-            sweeps[sample] = file, pose_of(sensor)
+            sweeps[sample] = file, place @ pose_of(sensor)
         if key and (sample not in places or channel.startswith("LIDAR")):
             places[sample] = place
     moments = {

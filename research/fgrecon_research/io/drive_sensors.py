@@ -2,6 +2,7 @@
 
 | file, of frame 12 | content |
 |---|---|
+| what the data set names | nuScenes' sweep of the sample |
 | `lidar/000012.npz` | `points_cm` in the rectified reference camera's frame |
 | `velodyne/000012.bin`, `velodyne_points/data/...` | KITTI's scan, in its LiDAR's frame |
 | `image_03/000012.png` (or `.jpg`) | the right image of a rectified pair; its camera is P3 |
@@ -45,6 +46,8 @@ _PLACES = {
 
 def file_of(frame: DriveFrame, sensor: Sensor) -> Path | None:
     """The sensor's file of a frame, or None."""
+    if sensor is Sensor.LIDAR and frame.sweep is not None:
+        return frame.sweep if frame.sweep.is_file() else None
     root = frame.image.parent.parent
     files = (root / place.format(frame.image.stem) for place in _PLACES[sensor])
     return next((file for file in files if file.is_file()), None)
