@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.options import CameraOptions, Delivery, JsonOption, SceneOptions, TogetherOption, WeightsOption
+from fgrecon.cli.options import (
+    CameraOptions,
+    Delivery,
+    JsonOption,
+    ScaleOption,
+    SceneOptions,
+    TogetherOption,
+    WeightsOption,
+)
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
@@ -61,6 +69,7 @@ class VehicleOptions:
         typer.Option(metavar="FILE", help="Vehicles detected by others: KITTI's tracking lines, MOT's, or keypoints."),
     ] = None
     forget_ids: Annotated[bool, typer.Option("--forget-ids", help="Give those vehicles ids anew.")] = False
+    scale_to_image: ScaleOption = False
     box_model: Annotated[
         BoxModel | None,
         typer.Option(
@@ -125,10 +134,10 @@ class RunOptions:
             source=source,
             out=out,
             settings=self.scene.settings(Options(strategy=self.scene.strategy, keep_history=False)),
-            camera=self.camera.source(),
+            camera=self.camera.source(scale_to_image=self.vehicles.scale_to_image),
             **vars(self.frames),
             **vars(self.motion),
-            **vars(self.vehicles),
+            **{name: value for name, value in vars(self.vehicles).items() if name != "scale_to_image"},
             video=self.drawn.video,
             picture_frame=self.drawn.picture_frame,
         )

@@ -42,6 +42,8 @@ class Observation:
             where nobody says.
         left_out: Sentences that say what of it was not used, and why.
         evidence: What is known of the vehicle beside its keypoints (`fgrecon.core.evidence`).
+        image_size: Width and height in pixels of the image as the file or the network states them, or None: a camera of
+            another size is refused.
     """
 
     keypoints: NDArray[np.float64]
@@ -52,6 +54,7 @@ class Observation:
     azimuth: NDArray[np.float64] | None = None
     left_out: tuple[str, ...] = ()
     evidence: tuple[Evidence, ...] = ()
+    image_size: tuple[int, int] | None = None
 
     __repr__ = brief_repr
 
@@ -141,6 +144,16 @@ class Observation:
         listed = ", ".join(name for name, out in zip(names, keypoints, strict=True) if out)
         left_out = (*self.left_out, f"{listed}: left out, {why}.")
         return replace(self, keypoints=np.where(keypoints[:, None], np.nan, self.keypoints), left_out=left_out)
+
+    def scaled(self, ratio: NDArray[np.float64], size: tuple[int, int]) -> Observation:
+        """The same in pixels of an image of another size, whose sides are longer by the ratio (2,)."""
+        return replace(
+            self,
+            keypoints=(self.keypoints + 0.5) * ratio - 0.5,
+            box=None if self.box is None else self.box * np.tile(ratio, 2),
+            covariance=None if self.covariance is None else self.covariance * np.outer(ratio, ratio),
+            image_size=size,
+        )
 
     def with_evidence(self, evidence: Sequence[Evidence]) -> Observation:
         """The observation with more evidence of its vehicle."""

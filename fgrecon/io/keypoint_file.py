@@ -138,9 +138,10 @@ class Instance:
         Raises:
             InvalidInputError: A number cannot be used.
         """
-        return Observation.of(
+        seen = Observation.of(
             self.keypoints, self.confidence, self.box, self.covariance, self.confidence_midpoint, self.azimuth
         )
+        return replace(seen, image_size=self.image_size)
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import CLASSES, SizePrior, SizesLike, check_order, other_fleets, size_prior
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior, shipped_class_sizes
+from fgrecon.io.image_size import scale_between
 from fgrecon.solve.vehicle.model import VehicleModel, prepare, sized
 
 if TYPE_CHECKING:
@@ -157,6 +158,7 @@ def observe(
             the image.
     """
     observation = given = _as_observation(keypoints, category, confidence, box, covariance).with_evidence(evidence)
+    scale_between(given.image_size, camera.image_size, "image_size")
     if observation.box is not None and camera.image_size is not None:
         (left, top, right, bottom), (width, height) = observation.box, camera.image_size
         if right <= -0.5 or bottom <= -0.5 or left >= width - 0.5 or top >= height - 0.5:

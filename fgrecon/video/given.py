@@ -28,6 +28,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around
 from fgrecon.io.frame_names import frames_by_name, number_of
 from fgrecon.io.frames import FrameSource, ImageFrames
+from fgrecon.io.image_size import scale_between
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, parse_keypoints
 from fgrecon.io.kitti_files import read_tracking
@@ -80,6 +81,19 @@ class Given:
     def association(self) -> AssociationSettings:
         """How those without an id are followed: each begins a track, since scores of boxes are of any scale."""
         return AssociationSettings(min_birth_score=-np.inf, birth_observations=1)
+
+    def fitted(self, size: tuple[int, int] | None, *, scale: bool = False) -> Given:
+        """The same in pixels of images of a size; None where it is not known.
+
+        Args:
+            size: Width and height in pixels.
+            scale: Whether points may be scaled, where the file states another size of the same shape.
+
+        Raises:
+            InvalidInputError: The file states another size, and scaling is not requested or the shapes differ.
+        """
+        every = {number: tuple(_fitted(s, size, scale=scale) for s in some) for number, some in self.vehicles.items()}
+        return replace(self, vehicles=every)
 
     @property
     def complete(self) -> bool:
@@ -247,6 +261,16 @@ def _in_order(images: Iterable[str]) -> tuple[dict[str, int | None], _Times | No
     numbers = {path.stem: number for path, number in zip(frames.paths, frames.numbers, strict=True)}
     times = None if frames.times is None else dict(zip(frames.numbers, frames.times, strict=True))
     return {image: numbers[Path(image).stem] for image in images}, times
+
+
+def _fitted(sighting: Sighting, size: tuple[int, int] | None, *, scale: bool) -> Sighting:
+    seen = sighting.observation
+    if seen is None or size is None:
+        return sighting
+    ratio = np.array(scale_between(seen.image_size, size, "tracks: image_size", scale=scale))
+    if (ratio == 1.0).all():
+        return sighting
+    return replace(sighting, box=sighting.box * np.tile(ratio, 2), observation=seen.scaled(ratio, size))
 
 
 def _sighting(instance: Instance, path: Path) -> Sighting:

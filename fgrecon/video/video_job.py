@@ -152,6 +152,7 @@ class VideoJob:
             "end": ask.end,
             "category": self.settings.prior.category.name,
             "forget_ids": ask.forget_ids,
+            **({"scale_to_image": True} if ask.camera.scale_to_image else {}),
         }
 
 
@@ -197,6 +198,8 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
     if poses or given:
         check_coverage(planned_frames(source) or (), poses, None if given is None else given.vehicles.keys())
     camera, offset = _camera(request, source, given, drive, settings, warn)
+    if given is not None:
+        given = given.fitted(camera.image_size, scale=request.camera.scale_to_image)
     return VideoJob(request, source, camera, offset, settings, given, poses, moving)
 
 

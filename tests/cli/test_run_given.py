@@ -95,3 +95,34 @@ def test_mots_boxes_are_tracked(drive, tmp_path):
         assert (vehicle["id"], vehicle["kind"], vehicle["score"]) == (7, "Car", 0.8)
     rows = list(csv.DictReader((out / "tracks.csv").read_text().splitlines()))
     assert [(row["id"], row["kind"], row["score"]) for row in rows] == [("7", "Car", "0.8")] * 3
+
+
+def keypoints_of_size(drive, path, size, ratio):
+    """The drive's keypoints as if its images had another size."""
+    content = json.loads(drive[1].read_text())
+    instances = content if isinstance(content, list) else content["instances"]
+    for one in instances:
+        points = one["keypoints"]
+        for value in points.values() if isinstance(points, dict) else points:
+            if value is not None:
+                value[0], value[1] = ratio * (value[0] + 0.5) - 0.5, ratio * (value[1] + 0.5) - 0.5
+        if one.get("box") is not None:
+            one["box"] = [ratio * edge for edge in one["box"]]
+        one["image_size"] = size
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_keypoints_of_a_smaller_picture_are_refused_or_scaled(drive, tmp_path):
+    tracks = keypoints_of_size(drive, tmp_path / "tracks.json", [621, 188], 0.5)
+    given = (drive[0], "--tracks", tracks, *INTRINSICS, "--fps", 10)
+    refused = run(*given, "--out", tmp_path / "refused")
+    assert "an image of 621 x 188 pixels" in str(refused.exception)
+    assert not (tmp_path / "refused").exists()
+    scaled = run(*given, "--scale-to-image", "--out", tmp_path / "scaled")
+    assert scaled.exit_code == 0, scaled.output
+    assert run(drive[0], "--tracks", drive[1], *INTRINSICS, "--fps", 10, "--out", tmp_path / "right").exit_code == 0
+    found = [list(csv.DictReader((tmp_path / n / "tracks.csv").read_text().splitlines())) for n in ("scaled", "right")]
+    for one, other in zip(*found, strict=True):
+        assert float(one["x"]) == pytest.approx(float(other["x"]), abs=0.1)
+        assert float(one["z"]) == pytest.approx(float(other["z"]), abs=0.3)

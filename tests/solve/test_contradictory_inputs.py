@@ -82,7 +82,9 @@ CAMERAS = {
     "ten times": ((7200.0, 7200.0, 6100.0, 1730.0), InputWarning.PRINCIPAL_POINT),
     "fx, cx, fy, cy": ((720.0, 610.0, 720.0, 173.0), InputWarning.SQUARE),
     "halved": ((360.0, 360.0, 305.0, 86.5), InputWarning.OTHER_SIZE),
-    "focal length alone ten times": ((7200.0, 7200.0, 610.0, 173.0), None),
+    "focal length alone ten times": ((7200.0, 7200.0, 610.0, 173.0), InputWarning.FIELD_OF_VIEW),
+    "fx, cx, fy, cy alike": ((660.0, 610.0, 660.0, 173.0), InputWarning.SQUARE),
+    "fx and cx alike by chance": ((610.0, 612.0, 610.0, 173.0), None),
     "focal length a hundredth": ((72.0, 72.0, 610.0, 173.0), InputWarning.FIELD_OF_VIEW),
     "right": ((720.0, 720.0, 610.0, 173.0), None),
 }
@@ -91,6 +93,21 @@ CAMERAS = {
 @pytest.mark.parametrize(("intrinsics", "kind"), CAMERAS.values(), ids=CAMERAS)
 def test_intrinsics_against_the_image(intrinsics, kind):
     assert camera_warning_of(replace(Camera.of(intrinsics), image_size=(1242, 375))) is kind
+
+
+def test_a_halved_matrix_without_a_size_is_noticed_on_the_right():
+    pixels, _ = car(location=(5.0, 1.6, 12.0))
+    right, half = Camera.of((720.0, 720.0, 610.0, 173.0)), Camera.of((360.0, 360.0, 305.0, 86.5))
+    assert input_warning_of(Observation.of(pixels), right) is None
+    assert input_warning_of(Observation.of(pixels), half) is InputWarning.BEYOND
+
+
+def test_a_network_states_the_size_of_its_image():
+    pixels, _ = car()
+    seen = replace(Observation.of(pixels), image_size=(640, 640))
+    with pytest.raises(InvalidInputError, match=r"640 x 640 pixels.*1242 x 375 pixels"):
+        reconstruct(seen, CAMERA)
+    assert reconstruct(replace(seen, image_size=(1242, 375)), CAMERA).status.determined
 
 
 def test_a_part_of_an_image_has_its_principal_point_anywhere():

@@ -76,7 +76,12 @@ def parse_any_keypoints(
 
 
 def keypoints_from(
-    given: Any, names: NamesLike | None = None, category: Category | str | Path = "car14"
+    given: Any,
+    names: NamesLike | None = None,
+    category: Category | str | Path = "car14",
+    *,
+    image_size: tuple[int, int] | None = None,
+    scale_to_image: bool = False,
 ) -> tuple[Instance, ...]:
     """Vehicles from what a keypoint network returned, as `fgrecon.reconstruct` takes them.
 
@@ -91,14 +96,21 @@ def keypoints_from(
             means nothing here; a mapping from their names to those of the category, several to one for their centre;
             a shipped scheme (`apollo24`, `apollo66`, `carfusion`, `pascal12`); or a file with either.
         category: The category whose keypoints are wanted, its name or its file.
+        image_size: Width and height of the picture, or of the camera's images, in pixels; None where it is not known.
+        scale_to_image: Whether points are scaled to it, where `given` states another size of the same shape.
 
     Returns:
         The vehicles; empty where a network found none.
 
     Raises:
-        InvalidInputError: The object is none of these, or a value is malformed; names the field.
+        InvalidInputError: The object is none of these, a value is malformed, or it states another size than the image
+            has; names the field.
     """
-    kind = load_category(category)
+    instances = _instances_of(given, names, load_category(category))
+    return tuple(one.fitted(image_size, scale=scale_to_image) for one in instances)
+
+
+def _instances_of(given: Any, names: NamesLike | None, kind: Category) -> tuple[Instance, ...]:
     known = None if names is None else parse_names(names, kind)
     plain = _plain(given)
     if plain is not None:

@@ -112,7 +112,9 @@ def _ultralytics(given: Any, where: str) -> _Found:
         _optional(getattr(boxes, "conf", None), f"{where}boxes.conf"),
         _optional(getattr(boxes, "id", None), f"{where}boxes.id"),
         None if classes is None else [kinds.get(int(n), str(int(n))) for n in _array(classes, f"{where}boxes.cls")],
-        {"confidence_midpoint": PROBABLE} | ({"image": Path(source).name} if isinstance(source, str) else {}),
+        {"confidence_midpoint": PROBABLE}
+        | ({"image": Path(source).name} if isinstance(source, str) else {})
+        | ({} if given.orig_shape is None else {"image_size": [int(side) for side in given.orig_shape[1::-1]]}),
     )
 
 
