@@ -66,8 +66,8 @@ ROOMS = {
         *("core", "io", "io/datasets", "io/export", "solve/vehicle", "perception", "perception/keypoints", "video"),
     },
     "app": {
-        *("core", "io", "io/cameras", "io/keypoints", "solve", "simulation", "perception", "perception/keypoints"),
-        "batch",
+        *("core", "io", "io/cameras", "io/export", "io/keypoints", "solve", "simulation", "perception"),
+        *("perception/keypoints", "batch", "viz"),
     },
     "cli": {
         *("core", "io", "io/datasets", "io/cameras", "io/export", "io/keypoints", "solve", "simulation", "perception"),

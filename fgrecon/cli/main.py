@@ -16,6 +16,7 @@ from typing import Annotated, TextIO
 import typer
 
 from fgrecon.cli import keypoints, prior, vehicles
+from fgrecon.cli.app import app_command
 from fgrecon.cli.batch import batch_command
 from fgrecon.cli.calibrate import calibrate_command
 from fgrecon.cli.commands import add_command, new_group
@@ -53,6 +54,7 @@ add_command(app, "replay", replay_command)
 add_command(app, "export", export_command)
 add_command(app, "calibrate", calibrate_command)
 add_command(app, "serve", serve_command)
+add_command(app, "app", app_command)
 evaluate = new_group(
     "evaluate",
     "Compare fgrecon with other methods on data with known poses.",

@@ -69,6 +69,14 @@ def test_glb_has_named_nodes_that_stand_upright(cars, tmp_path):
     np.testing.assert_allclose(sorted(drawn[:, 1]), sorted(expected[:, 1]), atol=1e-5)
 
 
+def test_parts_of_a_glb_are_no_metal(cars, tmp_path):
+    """Metal, the default, is black in viewers that have nothing around to mirror."""
+    content = export(tmp_path / "cars.glb", cars).read_bytes()
+    tree = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+    assert tree["materials"][0]["pbrMetallicRoughness"]["metallicFactor"] == 0.0
+    assert {p["material"] for mesh in tree["meshes"] for p in mesh["primitives"]} == {0}
+
+
 def test_glb_has_every_vehicle_of_an_id(cars, tmp_path):
     import trimesh
 

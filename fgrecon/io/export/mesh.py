@@ -51,8 +51,16 @@ def glb_bytes(results: Sequence[NamedResult]) -> bytes:
         for part, mesh in _parts(item):
             name = f"{vehicle}/{part}"
             scene.add_geometry(mesh, node_name=name, geom_name=name, transform=_UPRIGHT)
-    content: bytes = scene.export(file_type="glb")
+    content: bytes = trimesh.exchange.gltf.export_glb(scene, tree_postprocessor=_paint)
     return content
+
+
+def _paint(tree: dict[str, Any]) -> None:
+    """Say that the parts are no metal, which they are by default: that is black where nothing is around to mirror."""
+    tree["materials"] = [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8}}]
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive["material"] = 0
 
 
 def _solved(results: Sequence[NamedResult]) -> list[NamedResult]:

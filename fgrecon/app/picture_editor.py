@@ -1,0 +1,256 @@
+"""The photograph of the page: what is drawn on it, and boxes and keypoints that mouse and keys move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from html import escape
+from typing import Any
+
+from fgrecon.app.view import PageView, Pixels, ShownCar
+
+LOOK, BOXES, KEYPOINTS = "look", "boxes", "keypoints"
+"""What mouse and keys do."""
+
+_REACH = 14.0  # pixels on the screen within which something is taken hold of
+_LEAST = 8.0  # pixels of a box's side; smaller ones are a click
+_KEYS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowUp": (0, -1), "ArrowDown": (0, 1)}
+
+
+@dataclass
+class Editor:
+    """Boxes and keypoints while they are edited, in pixels of the image.
+
+    Attributes:
+        size: Of the image.
+        boxes: x1, y1, x2, y2 of each vehicle.
+        points: Keypoints of each vehicle; None where one was not measured.
+        mode: One of `LOOK`, `BOXES` and `KEYPOINTS`.
+        chosen: Vehicle and, in mode `KEYPOINTS`, keypoint that keys move; None for none.
+    """
+
+    size: tuple[int, int] = (1, 1)
+    boxes: list[list[float]] = field(default_factory=list)
+    points: list[Pixels] = field(default_factory=list)
+    mode: str = LOOK
+    chosen: tuple[int, int] | None = None
+    _corner: int | None = None
+    _from: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, view: PageView, mode: str) -> Editor:
+        """What a view has to edit."""
+        boxes = [[float(x) for x in car.instance.get("box", ())] for car in view.cars]
+        return cls(
+            view.size, [box for box in boxes if box], [list(car.instance["keypoints"]) for car in view.cars], mode
+        )
+
+    @property
+    def scale(self) -> float:
+        """Pixels of the image in one of the screen, about."""
+        return max(self.size[0] / 900.0, 0.5)
+
+    def press(self, u: float, v: float) -> None:
+        """Take hold of what is there; in mode `BOXES`, where nothing is, a new box begins."""
+        self._from = (u, v)
+        if self.mode == KEYPOINTS:
+            near = [
+                ((point[0] - u) ** 2 + (point[1] - v) ** 2, (car, k))
+                for car, points in enumerate(self.points)
+                for k, point in enumerate(points)
+                if point is not None
+            ]
+            distance, self.chosen = min(near, default=(float("inf"), None))
+            if distance > (_REACH * self.scale) ** 2:
+                self.chosen = self._from = None
+        elif self.mode == BOXES:
+            self._press_box(u, v)
+
+    def _press_box(self, u: float, v: float) -> None:
+        reach = _REACH * self.scale
+        for number, (x1, y1, x2, y2) in enumerate(self.boxes):
+            for corner, (x, y) in enumerate(((x1, y1), (x2, y1), (x2, y2), (x1, y2))):
+                if abs(x - u) < reach and abs(y - v) < reach:
+                    self.chosen, self._corner = (number, 0), corner
+                    return
+        inside = [(x2 - x1, n) for n, (x1, y1, x2, y2) in enumerate(self.boxes) if x1 < u < x2 and y1 < v < y2]
+        if inside:
+            self.chosen, self._corner = (min(inside)[1], 0), None
+            return
+        self.boxes.append([u, v, u, v])
+        self.chosen, self._corner = (len(self.boxes) - 1, 0), 2
+
+    def move(self, u: float, v: float) -> bool:
+        """Move what is held; whether anything was."""
+        if self._from is None or self.chosen is None:
+            return False
+        step = (u - self._from[0], v - self._from[1])
+        self._from = (u, v)
+        self._shift(*step)
+        return True
+
+    def _shift(self, across: float, down: float) -> None:
+        assert self.chosen is not None
+        car, k = self.chosen
+        width, height = self.size
+        if self.mode == KEYPOINTS:
+            point = self.points[car][k]
+            if point is not None:
+                self.points[car][k] = [_within(point[0] + across, width), _within(point[1] + down, height)]
+            return
+        moved = {0: (0, 1), 1: (2, 1), 2: (2, 3), 3: (0, 3), None: (0, 1, 2, 3)}[self._corner]
+        box = self.boxes[car]
+        for side in moved:
+            box[side] = _within(box[side] + (down if side % 2 else across), (width, height)[side % 2])
+
+    def release(self) -> bool:
+        """Let go; whether something has changed."""
+        held, self._from = self._from is not None and self.chosen is not None, None
+        if self.mode != BOXES or not held:
+            return held and self.mode == KEYPOINTS
+        for box in self.boxes:
+            box[:] = [min(box[0], box[2]), min(box[1], box[3]), max(box[0], box[2]), max(box[1], box[3])]
+        kept = [box for box in self.boxes if box[2] - box[0] >= _LEAST and box[3] - box[1] >= _LEAST]
+        changed = len(kept) == len(self.boxes)
+        if not changed:
+            self.boxes, self.chosen = kept, None
+        self._corner = None
+        return changed
+
+    def key(self, name: str, *, far: bool = False) -> bool:
+        """Do what a key means: arrows move, n and p choose, Delete removes; whether something changed."""
+        if name in ("n", "p"):
+            self._choose(1 if name == "n" else -1)
+            return False
+        if self.chosen is None or self.mode == LOOK:
+            return False
+        if name in ("Delete", "Backspace"):
+            self.remove()
+            return True
+        if name in _KEYS:
+            across, down = _KEYS[name]
+            self._corner = None
+            self._shift((10 if far else 1) * across, (10 if far else 1) * down)
+            return True
+        return False
+
+    def _choose(self, step: int) -> None:
+        places = (
+            [(n, 0) for n in range(len(self.boxes))]
+            if self.mode == BOXES
+            else [(c, k) for c, points in enumerate(self.points) for k, p in enumerate(points) if p is not None]
+        )
+        if places and self.mode != LOOK:
+            at = places.index(self.chosen) + step if self.chosen in places else 0
+            self.chosen = places[at % len(places)]
+
+    def remove(self) -> None:
+        """Remove the chosen box, or take the chosen keypoint for not measured."""
+        if self.chosen is None:
+            return
+        car, k = self.chosen
+        if self.mode == BOXES:
+            del self.boxes[car]
+        elif self.mode == KEYPOINTS:
+            self.points[car][k] = None
+        self.chosen = None
+
+    def keypoint_file(self, view: PageView) -> dict[str, Any]:
+        """The vehicles with their keypoints as they are now, as a keypoint file has them."""
+        instances = [car.instance | {"keypoints": points} for car, points in zip(view.cars, self.points, strict=True)]
+        for instance in instances:
+            instance["confidence"] = [
+                1.0 if confidence is None or point is None else confidence
+                for point, confidence in zip(instance["keypoints"], instance["confidence"], strict=True)
+            ]
+        return {**view.camera, "instances": instances}
+
+
+def _within(value: float, limit: int) -> float:
+    return min(max(value, 0.0), limit - 1.0)
+
+
+def drawing(view: PageView, editor: Editor, step: int | None, shown: int | None = None) -> str:
+    """What is drawn on the photograph, as SVG in pixels of the image.
+
+    Args:
+        view: What there is to see.
+        editor: Boxes and keypoints as they are now.
+        step: Of the optimisation that is shown; None for the results.
+        shown: The only vehicle that is shown at a step.
+    """
+    unit, parts = editor.scale, []
+    if view.horizon and None not in view.horizon:
+        parts.append(_line(view.horizon, "#fff", 1.0 * unit, f"{8 * unit} {4 * unit}"))
+    for number, car in enumerate(view.cars):
+        if not car.steps:
+            continue
+        at = car.steps[-1 if step is None or number != shown else min(step, len(car.steps) - 1)]
+        faint = editor.mode != LOOK
+        for a, b in car.edges:
+            parts.append(_line([at.wireframe[a], at.wireframe[b]], car.colour, (1.0 if faint else 2.0) * unit))
+        if step is None or number != shown:
+            parts += [_line(edge, car.colour, 0.8 * unit, f"{3 * unit} {3 * unit}") for edge in car.frame]
+    for number, box in enumerate(editor.boxes):
+        parts.append(
+            _box(box, unit, chosen=editor.mode == BOXES and editor.chosen == (number, 0), handles=editor.mode == BOXES)
+        )
+    if editor.mode == KEYPOINTS or step is not None:
+        parts += _points(view.cars, editor, unit)
+    parts += [_name(car, unit) for car in view.cars]
+    return "".join(parts)
+
+
+def _points(cars: Sequence[ShownCar], editor: Editor, unit: float) -> list[str]:
+    drawn = []
+    for number, points in enumerate(editor.points):
+        for k, point in enumerate(points):
+            if point is None:
+                continue
+            chosen = editor.chosen == (number, k)
+            names = cars[number].keypoints if number < len(cars) else []
+            title = escape(names[k]) if k < len(names) else ""
+            drawn.append(
+                f'<circle cx="{point[0]:.1f}" cy="{point[1]:.1f}" r="{(6 if chosen else 4) * unit:.1f}" '
+                f'fill="{cars[number].colour}" stroke="{"#ff0" if chosen else "#fff"}" stroke-width="{1.5 * unit:.1f}">'
+                f"<title>{title}</title></circle>"
+            )
+    return drawn
+
+
+def _line(points: Sequence[list[float] | None], colour: str, width: float, dashes: str = "") -> str:
+    if None in points:
+        return ""
+    (a, b), (c, d) = points  # type: ignore[misc]  # none of them is None
+    look = f'stroke="{colour}" stroke-width="{width:.2f}" stroke-linecap="round"'
+    dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
+    return f'<line x1="{a}" y1="{b}" x2="{c}" y2="{d}" {look}{dashed}/>'
+
+
+def _box(box: Sequence[float], unit: float, *, chosen: bool, handles: bool) -> str:
+    x1, y1 = min(box[0], box[2]), min(box[1], box[3])
+    width, height = abs(box[2] - box[0]), abs(box[3] - box[1])
+    colour = "#ff0" if chosen else "#fff"
+    shape = (
+        f'<rect x="{x1:.1f}" y="{y1:.1f}" width="{width:.1f}" height="{height:.1f}" fill="none" stroke="{colour}" '
+        f'stroke-width="{(2.5 if handles else 1.0) * unit:.2f}"/>'
+    )
+    if not handles:
+        return shape
+    side = 8 * unit
+    corners = ((x1, y1), (x1 + width, y1), (x1 + width, y1 + height), (x1, y1 + height))
+    return shape + "".join(
+        f'<rect x="{x - side / 2:.1f}" y="{y - side / 2:.1f}" width="{side:.1f}" height="{side:.1f}" fill="{colour}"/>'
+        for x, y in corners
+    )
+
+
+def _name(car: ShownCar, unit: float) -> str:
+    box = car.instance.get("box")
+    if not box:
+        return ""
+    look = f'font-size="{15 * unit:.1f}" font-family="sans-serif" font-weight="bold" stroke="#fff" paint-order="stroke"'
+    return (
+        f'<text x="{box[0]:.1f}" y="{max(box[1] - 4 * unit, 14 * unit):.1f}" {look} stroke-width="{3 * unit:.1f}" '
+        f'fill="{car.colour}">{escape(car.name)}</text>'
+    )

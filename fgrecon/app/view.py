@@ -1,0 +1,255 @@
+"""What the page shows of an upload: made by a worker, as plain values and files."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.app.requested import Requested
+from fgrecon.app.solving import SolvedUpload, Uploaded, solve
+from fgrecon.batch.results_file import document
+from fgrecon.batch.solve_tasks import Outcome
+from fgrecon.core.camera import Camera
+from fgrecon.io.export.mesh import glb_bytes
+from fgrecon.io.export.results import NamedResult
+from fgrecon.io.export.table import csv_text
+from fgrecon.viz import style
+from fgrecon.viz.from_above import draw_scene_from_above, ellipse_scale, extent_from_above
+from fgrecon.viz.geometry import BOX_EDGES, image_points, level_axes, outline_corners, resolution
+from fgrecon.viz.outcomes import cells_of, drawn_of, message_of, recordings
+from fgrecon.viz.picture import as_rgb, new_figure, place_axes
+from fgrecon.viz.scene_picture import scene_picture
+from fgrecon.viz.subjects import DrawnScene, jpeg
+
+_QUALITY = 90
+_ABOVE = 4.0  # inches, of the view from above
+_FAR = 1e4  # metres, of the horizon
+
+Pixels = list[list[float] | None]
+
+
+@dataclass(frozen=True)
+class ShownStep:
+    """The estimate of a vehicle at one step: its wireframe in the image, weights, and energy by term in nats."""
+
+    title: str
+    wireframe: Pixels
+    weights: list[float]
+    energies: dict[str, float]
+
+
+@dataclass(frozen=True)
+class ShownCar:
+    """A vehicle as the page shows it.
+
+    Attributes:
+        name: Its id.
+        cells: Of the table, see `fgrecon.viz.outcomes.HEADINGS`; then its message.
+        colour: As CSS has it.
+        instance: It as a keypoint file has it.
+        keypoints: Names of the keypoints.
+        edges: Of the wireframe.
+        steps: From the start to the result; empty where there is none.
+        frame: The edges of its 3D box in the image.
+        others: Probability, nats above the result, yaw in degrees and place in metres of other poses.
+        factors: How many factors of each term its graph has.
+    """
+
+    name: str
+    cells: list[str]
+    colour: str
+    instance: dict[str, Any]
+    keypoints: list[str]
+    edges: list[list[int]]
+    steps: list[ShownStep]
+    frame: list[Pixels] = field(default_factory=list)
+    others: list[list[str]] = field(default_factory=list)
+    factors: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PageView:
+    """What the page shows of an upload.
+
+    Attributes:
+        size: Width and height of the image in pixels.
+        photograph: JPEG; empty where there is none.
+        cars: The vehicles.
+        camera: K and distortion, as a keypoint file has them.
+        horizon: Its two ends in the image.
+        warnings: What there is to warn of.
+        files: What can be downloaded, by name.
+        height: Metres of the camera above the middle one of the cars' lowest points; 0 where none has a pose.
+    """
+
+    size: tuple[int, int]
+    photograph: bytes
+    cars: list[ShownCar]
+    camera: dict[str, Any]
+    horizon: Pixels
+    warnings: list[str]
+    files: dict[str, bytes]
+    height: float = 0.0
+
+
+def view_of(folder: Path, uploaded: Uploaded, requested: Requested) -> PageView:
+    """Solve an upload and make all that the page shows of it.
+
+    Raises:
+        InvalidInputError: A file or a value cannot be used.
+    """
+    solved = solve(folder, uploaded, requested, history=True)
+    camera = solved.outcomes[0].task.camera
+    width, height = resolution(camera, solved.pixels)
+    text = document(Path(uploaded.main), solved.outcomes, solved.settings, solved.images, history=True)
+    files = {"results.json": text.encode()}
+    named = [NamedResult(one.name, one.result) for one in solved.outcomes if one.result is not None]
+    posed = [item for item in named if item.solved]
+    if posed:
+        files |= {"cars.csv": csv_text(named).encode(), "cars.glb": glb_bytes(posed)}
+        files["above.png"] = _above(solved, camera, (width, height))
+    lens = {} if camera.distortion is None else {"distortion": camera.distortion.tolist()}
+    return PageView(
+        size=(round(width), round(height)),
+        photograph=b"" if solved.pixels is None else jpeg(solved.pixels, _QUALITY),
+        cars=[_car(number, outcome) for number, outcome in enumerate(solved.outcomes)],
+        camera={"K": camera.matrix.tolist(), "image_size": [round(width), round(height)], **lens},
+        horizon=_horizon(solved, camera, width),
+        warnings=solved.warnings,
+        files=files,
+        height=float(np.median([item.result.location[1] for item in posed])) if posed else 0.0,
+    )
+
+
+def picture_of(folder: Path, uploaded: Uploaded, requested: Requested) -> bytes:
+    """The picture of `fgrecon reconstruct --picture` as PNG.
+
+    Raises:
+        InvalidInputError: A file or a value cannot be used.
+    """
+    solved = solve(folder, uploaded, requested, history=False)
+    camera = solved.outcomes[0].task.camera
+    figure = scene_picture(solved.pixels, drawn_of(solved.outcomes), camera, ground=solved.ground)
+    return _png(as_rgb(figure, 200))
+
+
+def recording_of_upload(folder: Path, uploaded: Uploaded, requested: Requested) -> bytes:
+    """The recording of `fgrecon reconstruct --save`, for rerun's viewer.
+
+    Raises:
+        InvalidInputError: A file or a value cannot be used.
+    """
+    solved = solve(folder, uploaded, requested, history=True)
+    image = solved.outcomes[0].task.instance.image
+    made = recordings(solved.outcomes, solved.pixels, {image: solved.ground})
+    path = folder / "recording.rrd"
+    made[0][1].write(path)
+    return path.read_bytes()
+
+
+def _png(image: NDArray[np.uint8]) -> bytes:
+    from PIL import Image
+
+    Image.fromarray(image).save(out := io.BytesIO(), "png", compress_level=3)
+    return out.getvalue()
+
+
+def _above(solved: SolvedUpload, camera: Camera, size: tuple[float, float]) -> bytes:
+    scene = DrawnScene(drawn_of(solved.outcomes), camera, size, solved.ground)
+    extent = extent_from_above(scene)
+    across, ahead = extent[1] - extent[0]
+    if across < ahead:
+        extent[:, 0] += np.array([-0.5, 0.5]) * (ahead - across)
+    else:
+        extent[1, 1] += across - ahead
+    figure = new_figure(_ABOVE, _ABOVE)
+    axes = place_axes(figure, 0.42, 0.36, _ABOVE - 0.5, _ABOVE - 0.44)
+    draw_scene_from_above(axes, scene, extent, ellipse_scale(scene, (extent[1, 0] - extent[0, 0]) / (_ABOVE * 25.4)))
+    return _png(as_rgb(figure, 180))
+
+
+def _pixels(points: NDArray[np.float64]) -> Pixels:
+    return [[round(float(u), 1), round(float(v), 1)] if np.isfinite((u, v)).all() else None for u, v in points]
+
+
+def _horizon(solved: SolvedUpload, camera: Camera, width: float) -> Pixels:
+    right, _, ahead = level_axes(solved.ground)
+    if solved.ground is None:
+        return []
+    aside = 0.5 * width / float(camera.matrix[0, 0])
+    return _pixels(image_points(camera, np.eye(4), _FAR * np.stack([ahead - aside * right, ahead + aside * right])))
+
+
+def _car(number: int, outcome: Outcome) -> ShownCar:
+    result, camera = outcome.result, outcome.task.camera
+    red, green, blue = style.categorical(number)
+    *cells, _ = cells_of(outcome)
+    car: dict[str, Any] = {
+        "name": outcome.name,
+        "cells": [*cells, message_of(outcome)],
+        "colour": f"rgb({red},{green},{blue})",
+        "instance": _instance(outcome),
+    }
+    if result is None:
+        return ShownCar(**car, keypoints=[], edges=[], steps=[])
+    names = list(result.shape.keypoint_names)
+    steps = [
+        ShownStep(
+            f"{one.stage}, update {one.irls}, step {one.step}",
+            _pixels(one.projections),
+            _numbers(one.weights),
+            dict(one.energies),
+        )
+        for one in result.diagnostics.history
+    ]
+    corners = image_points(camera, result.camera_T_object, outline_corners(result.box_size))
+    finals = ShownStep(
+        "result",
+        _pixels(result.pose.wireframe_uv),
+        _numbers(result.diagnostics.weights),
+        dict(result.diagnostics.energies),
+    )
+    others = [
+        [f"{one.probability:.2f}", f"{one.excess:.1f}", *_place(one.camera_T_object)]
+        for one in result.uncertainty.alternatives
+    ]
+    return ShownCar(
+        **car,
+        keypoints=names,
+        edges=result.shape.edges.tolist(),
+        steps=[*steps, finals],
+        frame=[_pixels(corners[edge]) for edge in BOX_EDGES],
+        others=[[f"{result.uncertainty.pose_probability:.2f}", "0.0", *_place(result.camera_T_object)], *others],
+        factors=dict(Counter(factor.term for factor in result.diagnostics.graph)),
+    )
+
+
+def _place(camera_T_object: NDArray[np.float64]) -> list[str]:
+    from fgrecon.core.reconstruction import rotation_y
+
+    yaw = float(np.degrees(rotation_y(camera_T_object)))
+    return [f"{yaw:.0f}", ", ".join(f"{number:.2f}" for number in camera_T_object[:3, 3])]
+
+
+def _numbers(values: NDArray[np.float64]) -> list[float]:
+    return [round(float(value), 3) for value in np.nan_to_num(values)]
+
+
+def _instance(outcome: Outcome) -> dict[str, Any]:
+    """A vehicle as a keypoint file has it."""
+    given = outcome.task.instance
+    arrays = {name: getattr(given, name) for name in ("confidence", "covariance", "box", "azimuth")}
+    plain = {name: np.asarray(value).tolist() for name, value in arrays.items() if value is not None}
+    keypoints = [None if point is None else point for point in _pixels(given.keypoints)]
+    return {
+        "id": given.name,
+        "keypoints": keypoints,
+        "confidence_midpoint": given.confidence_midpoint,
+        **plain,
+    }

@@ -1,0 +1,40 @@
+"""`fgrecon app`: the page for people."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from fgrecon.cli.serve import ServerOptions
+from fgrecon.cli.terminal import Quiet
+
+
+def app_command(
+    terminal: Quiet,
+    options: ServerOptions,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one.")] = 8080,
+    show: Annotated[bool, typer.Option("--show/--no-show", help="Open it in the browser.")] = True,
+) -> None:
+    """Look at it in a browser: a photograph or keypoints in, cars in 3D out, without code (extra `app`).
+
+    The page loads nothing from elsewhere, and keeps nothing. Listen at another address than this machine's own only in
+    a network that you trust: nobody is asked for a password.
+    """
+    from fgrecon.core.errors import MissingPackageError
+
+    try:
+        from fgrecon.app.page import page_app
+    except ImportError as error:
+        raise MissingPackageError("fgrecon[app]", "`fgrecon app`") from error
+
+    screen, server = terminal.screen(), options.server(port)
+
+    def say(address: str) -> None:
+        screen.print(f"The page is at {address} until Ctrl-C.")
+        if show:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    server.run(lambda ready: page_app(server.count, server.limits, server.names, ready), say)

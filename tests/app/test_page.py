@@ -1,0 +1,205 @@
+"""`fgrecon app` in headless Chromium; skips where nicegui, playwright or Chromium is not installed."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.browser
+
+SIZES = [(1366, 900, "light"), (1366, 900, "dark"), (390, 844, "light"), (390, 844, "dark")]
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    pytest.importorskip("nicegui", reason="the extra app is not installed")
+    command = [sys.executable, "-m", "fgrecon", "app", "--no-show", "--port", "0", "--max-megabytes", "4"]
+    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as running:
+        line = running.stdout.readline()
+        yield re.search(r"http://\S+", line)[0]
+        running.terminate()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    chromium = next(
+        (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
+    )
+    if chromium is None:
+        pytest.skip("Chromium is not installed (Debian's package chromium)")
+    arguments = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with playwright.sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=chromium, args=arguments)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def open_page(browser, address):
+    """Opens the page, and afterwards checks that nothing came from elsewhere and nothing failed in it."""
+    hosts, problems, contexts = set(), [], []
+
+    def start(width=1366, height=900, scheme="light", query=""):
+        context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(60_000)
+        page.on("request", lambda request: hosts.add(request.url.split("/")[2]))
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        page.goto(address + query)
+        return page
+
+    yield start
+    for context in contexts:
+        context.close()
+    assert problems == []
+    assert {host for host in hosts if host} <= {address.removeprefix("http://")}
+
+
+def take_sample(page):
+    page.get_by_role("button", name="Sample").click()
+    page.get_by_text("converged").first.wait_for()
+    page.locator(".fg-picture line").first.wait_for()
+
+
+def wait_for_cars(page, count):
+    page.wait_for_function("n => document.querySelectorAll('.q-table tbody tr').length == n", arg=count)
+
+
+def at(page, u, v):
+    box = page.locator(".fg-picture").bounding_box()
+    return box["x"] + u * box["width"] / 1242, box["y"] + v * box["width"] / 1242
+
+
+def drag(page, start, end):
+    page.mouse.move(*at(page, *start))
+    page.mouse.down()
+    page.mouse.move(*at(page, *end), steps=5)
+    page.mouse.up()
+
+
+@pytest.mark.parametrize(("width", "height", "scheme"), SIZES)
+def test_the_sample_at_each_size(open_page, width, height, scheme):
+    page = open_page(width, height, scheme)
+    take_sample(page)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.evaluate("document.body.classList.contains('body--dark')") == (scheme == "dark")
+    if folder := os.environ.get("FGRECON_SCREENSHOTS"):
+        page.wait_for_timeout(1000)
+        page.screenshot(path=Path(folder) / f"{width}-{scheme}.png", full_page=True)
+
+
+def test_a_box_is_drawn_and_removed_by_keys(open_page):
+    page = open_page()
+    take_sample(page)
+    wait_for_cars(page, 3)
+    page.get_by_role("button", name="Boxes").click()
+    page.locator(".fg-edit").wait_for()
+    drag(page, (900, 180), (1000, 260))
+    wait_for_cars(page, 4)
+    page.locator(".fg-picture").focus()
+    page.keyboard.press("n")
+    page.keyboard.press("Delete")
+    wait_for_cars(page, 3)
+
+
+def test_a_keypoint_is_dragged_and_the_result_follows(open_page):
+    page = open_page()
+    take_sample(page)
+    before = page.locator(".q-table tbody").first.inner_text()
+    page.get_by_role("button", name="Keypoints").click()
+    point = page.locator(".fg-picture circle").first
+    u, v = float(point.get_attribute("cx")), float(point.get_attribute("cy"))
+    drag(page, (u, v), (u + 25, v + 12))
+    page.wait_for_function("t => document.querySelector('.q-table tbody').innerText != t", arg=before)
+
+
+def test_steps_scene_downloads_and_code(open_page):
+    page = open_page()
+    take_sample(page)
+    page.get_by_role("tab", name="Steps").click()
+    last = int(re.search(r"Step (\d+) of", page.get_by_text(re.compile("Step [0-9]+ of")).inner_text())[1])
+    page.locator("[role=slider][aria-label=Step] [tabindex]").first.focus()
+    page.keyboard.press("ArrowLeft")
+    page.get_by_text(f"Step {last - 1} of").wait_for()
+    page.get_by_role("tab", name="3D").click()
+    page.locator("canvas").last.wait_for()
+    page.get_by_role("tab", name="Other poses").click()
+    page.get_by_text("probability").wait_for()
+    page.get_by_role("tab", name="Code").click()
+    page.get_by_text("fgrecon reconstruct").first.wait_for()
+    assert "size_prior=kitti" in page.get_by_role("link", name="A link").get_attribute("href")
+    page.get_by_role("tab", name="Save").click()
+    for label, beginning in {"GLB": b"glTF", "CSV": b"id,", "Picture": b"\x89PNG", "Recording": b"RRF"}.items():
+        with page.expect_download() as download:
+            page.get_by_role("button", name=label).click()
+        assert Path(download.value.path()).read_bytes().startswith(beginning)
+
+
+def upload(page, name, content):
+    page.locator("input[type=file]").set_input_files({"name": name, "mimeType": "image/png", "buffer": content})
+
+
+def test_uploads_wrong_ones_and_names_that_are_paths(open_page, sample):
+    page = open_page()
+    status = page.get_by_role("status")
+    upload(page, "../../etc/<b>x.png", b"no image")
+    page.get_by_text("Give an image that OpenCV reads").wait_for()
+    assert "Traceback" not in status.inner_text()
+    upload(page, "a.exe", b"MZ")
+    page.get_by_text("of no known kind").wait_for()
+    upload(page, "cars.json", b"[" * 50_000)
+    page.get_by_text("cars.json").first.wait_for()
+    upload(page, "calib.txt", (sample / "calib.txt").read_bytes())
+    upload(page, "street.png", (sample / "street.png").read_bytes())
+    page.get_by_text("converged").first.wait_for()
+    upload(page, "cars.json", (sample / "cars.json").read_bytes())
+    page.get_by_text("car-1").first.wait_for()
+
+
+def test_by_keyboard_alone(open_page):
+    page = open_page()
+    page.get_by_role("button", name="Sample").wait_for()
+    for _ in range(10):
+        page.keyboard.press("Tab")
+        if "Sample" in page.evaluate("document.activeElement.innerText || ''").title():
+            break
+    page.keyboard.press("Enter")
+    page.get_by_text("converged").first.wait_for()
+
+
+def test_a_link_brings_its_settings_and_bad_ones_are_refused_in_words(open_page):
+    page = open_page(query="/?camera_height=1.7&size_prior=kitti")
+    assert page.get_by_label("Height of the camera [m]").input_value() == "1.7"
+    page = open_page(query="/?prior=/etc/passwd")
+    page.get_by_text("Give one of").wait_for()
+
+
+def test_what_was_made_is_for_its_visitor_alone_and_gone_with_him(open_page, address):
+    page = open_page()
+    take_sample(page)
+    url = page.locator("img[src*='above']").get_attribute("src")
+    assert page.request.get(address + url).status == 200
+    assert page.request.get(f"{address}/made/guess/above.png").status == 404
+    assert page.request.get(f"{address}/made/..%2f..%2fetc/passwd").status == 404
+    page.close()
+    other = open_page()
+    for _ in range(60):
+        if other.request.get(address + url).status == 404:
+            return
+        other.wait_for_timeout(1000)
+    pytest.fail("it is still there")
+
+
+def test_ten_visitors_at_once(open_page):
+    pages = [open_page() for _ in range(10)]
+    for page in pages:
+        page.get_by_role("button", name="Sample").click()
+    for page in pages:
+        page.get_by_text("converged").first.wait_for(timeout=180_000)
