@@ -7,7 +7,7 @@ RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheels /src
 FROM python:3.11-slim
 COPY constraints.txt /constraints.txt
 COPY --from=build /wheels /wheels
-RUN pip install --no-cache-dir --constraint /constraints.txt "$(echo /wheels/*.whl)[serve,onnx]" \
+RUN pip install --no-cache-dir --constraint /constraints.txt "$(echo /wheels/*.whl)[serve]" \
     && rm -rf /wheels \
     && useradd --create-home fgrecon
 
