@@ -76,6 +76,8 @@ def test_points_tell_the_depth(yaw: float) -> None:
     assert weights.shape == (len(looked_at),)
     assert 40 < weights.sum() < 120
     assert sensed.diagnostics.energies["points"] > 0.0
+    assert sensed.diagnostics.evidence["points"] > 1.5  # times smaller is the position's standard deviation
+    assert not alone.diagnostics.evidence
     assert not len(alone.diagnostics.points)
     covariance, before = sensed.uncertainty.pose_covariance, alone.uncertainty.pose_covariance
     assert covariance is not None

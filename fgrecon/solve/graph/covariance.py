@@ -96,6 +96,7 @@ def marginals_of(
     selected: Collection[int] | None = None,
     *,
     counted_once: bool = True,
+    points: bool = True,
 ) -> gtsam.Marginals | Spread | None:
     """What is known of a graph's variables at its minimum; None where it does not determine them.
 
@@ -106,8 +107,9 @@ def marginals_of(
         selected: Keys of the variables that are needed by one factorisation; None for all, of a large graph by
             `gtsam.Marginals`.
         counted_once: Whether sizes are (`Graph.for_covariances`).
+        points: Whether measured points say something.
     """
-    system = graph.weighted(values, weights)
+    system = graph.weighted(values, weights, points=points)
     if selected is not None or system.is_one:
         return Spread.of(system.information(values, second=counted_once), system.places, selected)
     linear, _ = system.linearise(values, second=counted_once)

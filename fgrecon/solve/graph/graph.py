@@ -333,13 +333,16 @@ class Graph:
         every = [*self._observed, *self._counted_once, *points, *self.extra]
         return self._built(every, weights, Form.WEIGHTED, POINTS.common_factor)
 
-    def weighted(self, values: gtsam.Values, weights: Sequence[Weights]) -> System:
-        """The factors with these weights until others are set; the other graph is that of `for_covariances`."""
+    def weighted(self, values: gtsam.Values, weights: Sequence[Weights], *, points: bool = True) -> System:
+        """The factors with these weights until others are set; the other graph is that of `for_covariances`.
+
+        Without `points` the measured ones say nothing.
+        """
         self._told = None
         for part, weight in zip(self.observations, weights, strict=True):
             part.tell(weight, Form.WEIGHTED)
-        for points in self.points:
-            points.tell(Form.WEIGHTED, POINTS.common_factor)
+        for one in self.points:
+            one.tell(Form.WEIGHTED, POINTS.common_factor if points else math.inf)
         return self.system(values)
 
     def terms(self, weights: Sequence[Weights]) -> Iterator[tuple[str, list[gtsam.NonlinearFactor]]]:
