@@ -15,7 +15,7 @@ from fgrecon.calibration.labelled_boxes import VideoBox, wanted
 from fgrecon.calibration.labelled_frames import Rivals, ScoredFrame, looks_at, score_frames
 from fgrecon.calibration.setup import SceneKnowledge, Setup
 from fgrecon.core.camera import Ground
-from fgrecon.core.choices import BoxModel, TrafficSide
+from fgrecon.core.choices import BoxModel, ClassSource, TrafficSide
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import KeypointOptions, Options
 from fgrecon.core.size_prior import SizePrior
@@ -59,6 +59,7 @@ class DriveRequest:
         together: Whether the vehicles of an image share its ground.
         traffic: Side of the road that traffic keeps to, or None.
         detect: Whether the boxes are those of the shipped vehicle detector instead of the labelled ones.
+        classes: Who says of which class the vehicles are, or None.
         jobs: Processes.
     """
 
@@ -70,6 +71,7 @@ class DriveRequest:
     together: bool = True
     traffic: TrafficSide | None = None
     detect: bool = False
+    classes: ClassSource | None = None
     jobs: int = 1
 
     @property
@@ -211,7 +213,7 @@ def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None
 
 def _setups(request: DriveRequest, files: dict[str, Path | None], options: Options) -> dict[str, Setup]:
     """What each drive is reconstructed with, by its name; each network is loaded once."""
-    vehicles = NanodetVehicleDetector() if request.detect else None
+    detector = NanodetVehicleDetector() if request.detect or request.classes is ClassSource.DETECTED else None
     made = {
         file: Setup(
             detector=KeypointCascade(file),
@@ -220,7 +222,9 @@ def _setups(request: DriveRequest, files: dict[str, Path | None], options: Optio
             size_prior=request.given.size,
             options=options,
             together=request.together,
-            vehicles=vehicles,
+            vehicles=detector if request.detect else None,
+            classes=request.classes,
+            classifier=detector,
         )
         for file in dict.fromkeys(files.values())
     }

@@ -15,12 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import SYSTEM, BoxOutcome, VideoBox, labelled_azimuth, matched, outcome, wanted
+from fgrecon.calibration.matching import match_detections
 from fgrecon.calibration.setup import SETTINGS, Setup, reconstruct_boxes
 from fgrecon.core.camera import Camera
+from fgrecon.core.choices import ClassScheme, ClassSource
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.processes import processes_with
+from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.export.dataset_results import kitti_text
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.images import read_image
@@ -123,16 +126,40 @@ def reconstruct_frame(frame: DriveFrame, setup: Setup) -> tuple[NDArray[np.uint8
     camera = frame.calibration.camera.with_size_of(image)
     labels = wanted(frame)
     known: list[int | None] = [*labels.tolist()]
-    boxes, scores = frame.objects.box[labels], np.ones(len(labels))
+    boxes, scores, classes = frame.objects.box[labels], np.ones(len(labels)), list[VehicleClass | None]()
     if setup.vehicles is not None:
         vehicles = large_vehicles(image, setup.vehicles)
         known, order = _labels_of(frame, vehicles.boxes)
-        boxes, scores = vehicles.boxes[order], vehicles.scores[order]
+        vehicles = vehicles.take(np.array(order, dtype=np.intp))
+        boxes, scores, classes = vehicles.boxes, vehicles.scores, list(vehicles.classes)
     try:
-        found = reconstruct_boxes(image, camera, list(boxes), setup)
+        named = _classes(frame, image, known, boxes, classes, setup)
+        found = reconstruct_boxes(image, camera, list(boxes), setup, named)
     except InvalidInputError as error:
         raise InvalidInputError(f"{frame.image}: {error.field}", error.value, error.fix) from error
     return image, [Looked(*one) for one in zip(known, scores.tolist(), found, strict=True)]
+
+
+def _classes(
+    frame: DriveFrame,
+    image: NDArray[np.uint8],
+    known: Sequence[int | None],
+    boxes: Array,
+    detected: Sequence[VehicleClass | None],
+    setup: Setup,
+) -> Sequence[VehicleClass | None] | None:
+    """Of which class each box (M, 4) is, of the label known[m]; None where nobody is to say."""
+    if setup.classes is None:
+        return None
+    if setup.classes is ClassSource.LABELS:
+        kinds = frame.objects.kind
+        return [None if label is None else VehicleClass(kinds[label], ClassScheme.KITTI) for label in known]
+    if setup.vehicles is not None or setup.classifier is None:
+        return detected
+    found = setup.classifier(image)
+    cars, others = (Objects.detections(["Car"] * len(some), some, np.ones(len(some))) for some in (boxes, found.boxes))
+    at = match_detections(cars, others, SETTINGS.matching_overlap)
+    return [None if number < 0 else found.classes[number] for number in at.tolist()]
 
 
 def _labels_of(frame: DriveFrame, boxes: Array) -> tuple[list[int | None], list[int]]:

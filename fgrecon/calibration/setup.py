@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.matching import MINIMUM_OVERLAP
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.choices import ClassSource
 from fgrecon.core.options import Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.perception.from_image import FromImage, reconstruct_image
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.protocols import VehicleDetector
@@ -64,6 +66,8 @@ class Setup:
         overlap: From which overlap on a detected box is a labelled car's.
         together: Whether the vehicles of an image share one ground (`fgrecon.reconstruct_scene`).
         vehicles: Finds the vehicles in frames of drives; None where the labelled boxes are the input.
+        classes: Who says of which class they are, or None.
+        classifier: The vehicle detector that says so of labelled boxes, where a detector does.
     """
 
     detector: KeypointCascade
@@ -74,12 +78,18 @@ class Setup:
     overlap: float = MINIMUM_OVERLAP["Car"]
     together: bool = True
     vehicles: VehicleDetector | None = None
+    classes: ClassSource | None = None
+    classifier: VehicleDetector | None = None
 
 
 def reconstruct_boxes(
-    image: NDArray[np.uint8], camera: Camera, boxes: Sequence[Array], setup: Setup
+    image: NDArray[np.uint8],
+    camera: Camera,
+    boxes: Sequence[Array],
+    setup: Setup,
+    classes: Sequence[VehicleClass | None] | None = None,
 ) -> list[FromImage]:
-    """What is found in the boxes (4,) of an image; their parts outside the image are cut off."""
+    """What is found in the boxes (4,) of an image, by their classes; their parts outside the image are cut off."""
     limits = np.array([image.shape[1], image.shape[0]] * 2) - 1.0
     return reconstruct_image(
         image,
@@ -91,4 +101,5 @@ def reconstruct_boxes(
         size_prior=setup.size_prior,
         options=setup.options,
         together=setup.together,
+        classes=classes,
     )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.core.choices import BoxModel, StrategyName, TrafficSide
+from fgrecon.core.choices import BoxModel, ClassSource, StrategyName, TrafficSide
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.parsing import parse_ground, parse_numbers
 
@@ -461,6 +461,10 @@ class DriveOptions:
             "--detect", help="Look at the boxes of the shipped vehicle detector instead of the labelled ones."
         ),
     ] = False
+    classes: Annotated[
+        ClassSource | None,
+        typer.Option(help="Take each vehicle for one of the class that its label, or the vehicle detector, says."),
+    ] = None
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1
 
     def request(self, folders: Sequence[Path], labelled: LabelledScene) -> DriveRequest:

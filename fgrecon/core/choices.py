@@ -49,6 +49,14 @@ class ClassScheme(StrEnum):
     """Those of its ontology, with `Vehicle` before them or without."""
 
 
+class ClassSource(StrEnum):
+    """Who says of which class labelled vehicles are."""
+
+    LABELS = "labels"
+    DETECTED = "detected"
+    """The package's own vehicle detector."""
+
+
 class StrategyName(StrEnum):
     """The robust strategies by name; `fgrecon.core.robust` says what each does."""
 

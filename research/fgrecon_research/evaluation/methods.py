@@ -201,6 +201,7 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
         scene: SceneKnowledge, observation: Observation, camera: Camera, *, keep_history: bool
     ) -> Reconstruction:
         from fgrecon.core.options import BoxModel, Options
+        from fgrecon.core.vehicle_class import VehicleClass
         from fgrecon.solve.pipeline import reconstruct
 
         # KITTI's 2D boxes are its 3D boxes projected, to within 1 % of their size.
@@ -212,6 +213,7 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
             ground=scene.ground if ground else None,
             size_prior=scene.size if size else None,
             options=Options(strategy=strategy, box=BoxModel.CUBOID, keep_history=keep_history),
+            evidence=[VehicleClass("car")] if size else (),  # as rivals are told the size of cars
         )
 
     def bind(scene: SceneKnowledge) -> Solver:

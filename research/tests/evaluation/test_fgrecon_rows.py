@@ -45,6 +45,7 @@ def test_a_row_is_told_what_its_name_says(scene, calls, name, ground, size):
     assert estimate.milliseconds == times
     assert calls.arguments["ground"] is (scene.ground if ground else None)
     assert calls.arguments["size_prior"] is (scene.size if size else None)
+    assert [one.probabilities for one in calls.arguments["evidence"]] == ([{"car": 1.0}] if size else [])
     assert calls.arguments["prior"] is scene.prior
     assert calls.arguments["intrinsics"] is camera
     assert calls.arguments["keypoints"] is observation

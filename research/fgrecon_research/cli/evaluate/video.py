@@ -216,6 +216,7 @@ def _given(scored: ScoredDrives, labelled: LabelledScene, how: DriveOptions, fol
         "box_model": scored.request.encloses.value,
         "together": how.together,
         "traffic": how.traffic,
+        "classes": how.classes,
         "track": following.track,
         "ids": "associated" if following.forget_ids or how.detect else "labelled",
         "boxes": scored.request.boxes,
