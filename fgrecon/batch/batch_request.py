@@ -13,6 +13,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.keypoints.names import parse_names
 from fgrecon.io.run_settings import RunSettings, camera_to_dict, content_hash, settings_to_dict
+from fgrecon.perception.sensor_source import SensorSource
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class BatchRequest:
         ray: Address of a Ray cluster, or `auto`; None for processes of this machine.
         every: Of videos every so many frames.
         batch_rows: Rows that a worker gets at once, or None.
+        sensors: Other sensors' files of images, or None.
     """
 
     inputs: Sequence[Path]
@@ -42,6 +44,7 @@ class BatchRequest:
     ray: str | None = None
     every: int = 1
     batch_rows: int | None = None
+    sensors: SensorSource | None = None
 
 
 def reconstruct_files(request: BatchRequest, report: Callable[[Tally], None] = lambda _: None) -> Tally:
@@ -70,12 +73,14 @@ def reconstruct_files(request: BatchRequest, report: Callable[[Tally], None] = l
         weights=request.weights,
         threads=1,
         scale_to_image=source.scale_to_image,
+        sensors=request.sensors,
     )
     folder_of = settings_to_dict(settings) | {
         "camera": None if camera is None else camera_to_dict(camera),
         "weights": None if request.weights is None else str(request.weights),
         **({} if request.names is None else {"names": request.names}),
         **({"scale_to_image": True} if source.scale_to_image else {}),
+        **({} if request.sensors is None else {"sensors": request.sensors.to_dict()}),
     }
     for name, file in (("prior", settings.prior_file), ("weights", request.weights), ("names", request.names)):
         if (content := content_hash(None if file is None else Path(file))) is not None:

@@ -34,6 +34,7 @@ from fgrecon.perception.boxes import for_detected
 from fgrecon.perception.keypoints.detect import KeypointCascade, check_box, large_enough, shipped_cascade
 from fgrecon.perception.keypoints.sessions import at_most
 from fgrecon.perception.protocols import find_keypoints
+from fgrecon.perception.sensor_source import SensorSource
 from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ class Reconstructor:
         weights: str | Path | None = None,
         threads: int | None = None,
         scale_to_image: bool = False,
+        sensors: SensorSource | None = None,
     ) -> None:
         """Take the settings; nothing is loaded.
 
@@ -84,6 +86,7 @@ class Reconstructor:
             weights: Keypoint network; None for the shipped one.
             scale_to_image: Whether keypoints are scaled to the camera's image where a row states another size of the
                 same shape.
+            sensors: Other sensors' files, named as the images; or None.
             threads: Threads that OpenCV and what runs the networks use from the first image on; None leaves them as
                 they are.
 
@@ -95,6 +98,7 @@ class Reconstructor:
         self._size, self._names = size_prior, names
         self._options = replace(checked_options(options), keep_history=False)
         self._weights, self._threads, self._scale_to_image = weights, threads, scale_to_image
+        self._sensors = sensors
         self._pictures = Pictures()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -208,13 +212,15 @@ class Reconstructor:
         if not len(boxes):
             yield {**origin, "status": EMPTY}
             return
+        camera = self._camera_of(task, image, exif_camera)
         vehicles = reconstruct_detections(
             find_keypoints(cascade, image, boxes, self.prior.category),
-            self._camera_of(task, image, exif_camera),
+            camera,
             prior=self.prior,
             ground=self._ground,
             size_prior=self._size_prior,
             options=for_detected(self._options) if given is None else self._options,
+            evidence=() if self._sensors is None else self._sensors.evidence(_place(task)),
         )
         for vehicle, one in enumerate(vehicles):
             name = id_in_image(origin["row_id"], vehicle)
@@ -231,6 +237,13 @@ class Reconstructor:
         text = task.get("camera")
         own = self._camera or (_camera(json.loads(text)) if text else exif_camera)
         return Camera.of_unknown(width, height) if own is None else own.with_size_of(image)
+
+
+def _place(task: Mapping[str, Any]) -> Path:
+    """The file of an image; of a frame of a video its number, and of bytes the row's id, which stand for its name."""
+    if task.get("frame") is None and isinstance(task["image"], str):
+        return Path(task["image"])
+    return Path(str(task["row_id"] if task.get("frame") is None else task["frame"]))
 
 
 def _camera(fields: Mapping[str, Any]) -> Camera:

@@ -113,7 +113,11 @@ def solve_task(task: VehicleTask, settings: RunSettings) -> Outcome:
     instance = task.instance
     try:
         result = reconstruct(
-            instance.observation, task.camera, initial=instance.initial, **settings.arguments(task.box_model)
+            instance.observation,
+            task.camera,
+            initial=instance.initial,
+            evidence=task.evidence,
+            **settings.arguments(task.box_model),
         )
     except FgreconError as error:
         return Outcome(task, None, error)
@@ -164,7 +168,10 @@ def _solve_images(
     for image, numbers in watch(list(images.items()), "Images"):
         members = [tasks[n] for n in numbers]
         observations = [task.instance.observation for task in members]
-        scene = reconstruct_scene(observations, members[0].camera, **settings.arguments(members[0].box_model))
+        first = members[0]
+        scene = reconstruct_scene(
+            observations, first.camera, evidence=first.evidence, **settings.arguments(first.box_model)
+        )
         solved.append(SolvedImage(image, scene))
         outcomes |= dict(zip(numbers, _outcomes(members, scene), strict=True))
     return [outcomes[n] for n in range(len(tasks))], solved

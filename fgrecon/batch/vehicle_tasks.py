@@ -15,6 +15,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.input_warnings import InputWarnings, camera_warning_of, input_warning_of
 from fgrecon.core.observation import Observation
 from fgrecon.io.boxes import NamedBox
@@ -26,6 +27,7 @@ from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.track_file import parse_track
 from fgrecon.perception.keypoints.detect import CascadeDetection, KeypointCascade, check_box
 from fgrecon.perception.protocols import check_category
+from fgrecon.perception.sensor_source import SensorSource
 
 Watch = Callable[[Sequence[Any], str], Iterable[Any]]
 """Goes through some things, and shows under a heading how far that has come."""
@@ -42,12 +44,14 @@ class VehicleTask:
         camera: The camera that took its image.
         label_offset: (3,) where KITTI's label frame is from the camera's (a labelled point is at X + offset), or None.
         box_model: What its 2D box encloses, where that is not the run's setting.
+        evidence: What other sensors say of the vehicles of its image.
     """
 
     instance: Instance
     camera: Camera
     label_offset: NDArray[np.float64] | None = None
     box_model: BoxModel | None = None
+    evidence: tuple[Evidence, ...] = ()
 
     @property
     def observation(self) -> Observation:
@@ -167,7 +171,12 @@ class KeypointRequest:
 
 
 def image_tasks(
-    path: Path, source: CameraSource, boxes: Sequence[NamedBox], how: KeypointRequest, watch: Watch
+    path: Path,
+    source: CameraSource,
+    boxes: Sequence[NamedBox],
+    how: KeypointRequest,
+    watch: Watch,
+    sensors: SensorSource | None = None,
 ) -> list[VehicleTask]:
     """The vehicles in the boxes of an image, with the keypoints that the networks detect.
 
@@ -177,6 +186,7 @@ def image_tasks(
         boxes: Where the vehicles are.
         how: How keypoints are detected.
         watch: Shows progress.
+        sensors: Other sensors' files, or None.
 
     Returns:
         The vehicles. Where no camera is given it is that of KITTI's `calib` beside the image, the photograph's EXIF
@@ -193,6 +203,7 @@ def image_tasks(
     if camera is None:
         camera = source.assumed((image.shape[1], image.shape[0]))
     complete = source.complete(camera, declared=False)
+    evidence = () if sensors is None else sensors.evidence(path)
     tasks = []
     for item, detection in zip(boxes, detect_in_boxes(image, boxes, how, watch), strict=True):
         seen = detection.observation
@@ -208,7 +219,7 @@ def image_tasks(
             kind=item.kind,
             score=item.score,
         )
-        tasks.append(VehicleTask(instance, complete, offset, how.box_model or item.model))
+        tasks.append(VehicleTask(instance, complete, offset, how.box_model or item.model, evidence))
     return tasks
 
 

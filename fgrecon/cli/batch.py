@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, NamesOption, ScaleOption, SceneOptions, WeightsOption
+from fgrecon.cli.sensor_options import SensorOptions
 from fgrecon.cli.terminal import Screen, Terminal, compact_table
 from fgrecon.core.choices import BoxModel
 
@@ -50,6 +51,7 @@ def batch_command(
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="For the parts (Parquet); made where it does not exist.")],
     camera: CameraOptions,
     scene: SceneOptions,
+    sensors: SensorOptions,
     options: BatchOptions,
     terminal: Terminal,
 ) -> None:
@@ -70,7 +72,7 @@ def batch_command(
     settings = scene.settings(Options(strategy=scene.strategy, box=options.box_model, keep_history=False))
     rest = {name: value for name, value in vars(options).items() if name not in ("box_model", "scale_to_image")}
     source = camera.source(scale_to_image=options.scale_to_image)
-    request = BatchRequest(inputs, out, settings, source, **rest)
+    request = BatchRequest(inputs, out, settings, source, sensors=sensors.source(source), **rest)
     with screen.bar() as advance:
         tally = reconstruct_files(request, lambda tally: advance("Rows", tally.done, tally.total))
     if code := _report(tally, out, screen):

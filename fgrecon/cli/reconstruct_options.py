@@ -21,6 +21,7 @@ from fgrecon.cli.options import (
     VehicleBoxes,
 )
 from fgrecon.cli.outputs import check_outputs
+from fgrecon.cli.sensor_options import SensorOptions
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 
@@ -157,6 +158,7 @@ class ReconstructRequest:
     scene: SceneOptions
     solving: Solving
     boxes: VehicleBoxes
+    sensors: SensorOptions
     drawings: Drawings
     delivery: Delivery
     car_models: CarModels

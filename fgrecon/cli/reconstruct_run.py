@@ -38,6 +38,7 @@ from fgrecon.io.files import write_text
 from fgrecon.io.images import IMAGES, read_photograph
 from fgrecon.io.nuscenes import NEAREST
 from fgrecon.io.run_settings import RunSettings
+from fgrecon.perception.sensor_source import SensorSource
 from fgrecon.viz.outcomes import draw, draw_moving, recordings
 
 _NAMED = 8
@@ -130,7 +131,24 @@ def _read(
     read = read_tasks(file, settings.prior.category, source, names, None if image is None else image.name)
     for line in read.warnings:
         screen.warn(line)
-    return _Photograph(file, read.tasks, source), read.ignored
+    tasks = _with_evidence(read.tasks, request.sensors.source(source), image or file)
+    return _Photograph(file, tasks, source), read.ignored
+
+
+def _with_evidence(tasks: list[VehicleTask], sensors: SensorSource | None, file: Path) -> list[VehicleTask]:
+    """The vehicles of a keypoint file with what other sensors say of their images.
+
+    Args:
+        tasks: The vehicles.
+        sensors: The sensors' files, or None.
+        file: The photograph, else the keypoint file, whose name the sensors' files have where vehicles name no image.
+    """
+    if sensors is None:
+        return tasks
+    paths = [file if one.instance.image in (None, file.name) else Path(str(one.instance.image)) for one in tasks]
+    sensors.check(path.name for path in paths)
+    known = {path: sensors.evidence(path) for path in paths}
+    return [replace(one, evidence=known[path]) for path, one in zip(paths, tasks, strict=True)]
 
 
 def _read_photograph(path: Path, request: ReconstructRequest, settings: RunSettings, screen: Screen) -> _Photograph:
@@ -145,7 +163,10 @@ def _read_photograph(path: Path, request: ReconstructRequest, settings: RunSetti
     if found.near:
         cars = counted(found.near, "car")
         screen.note(f"{path.name}: left out {cars} nearer to the camera than {NEAREST} m, without a 2D box.")
-    tasks = image_tasks(path, source, found.cars, how, screen.watch)
+    sensors = request.sensors.source(source)
+    if sensors is not None and request.of_one([path]):
+        sensors.check([path.name])
+    tasks = image_tasks(path, source, found.cars, how, screen.watch, sensors)
     return _Photograph(path, tasks, source)
 
 

@@ -17,6 +17,7 @@ from fgrecon.cli.options import (
     WeightsOption,
 )
 from fgrecon.cli.outputs import check_not_over, check_outputs, files_in
+from fgrecon.cli.sensor_options import SensorOptions
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel, BoxOrigin
 
@@ -28,6 +29,7 @@ class RefineOptions:
     camera: CameraOptions
     scene: SceneOptions
     errors: BoxErrorOptions
+    sensors: SensorOptions
     min_score: Annotated[float, typer.Option(help="Boxes of a lower score stay as they are.")] = 0.5
     box_model: Annotated[BoxModel, typer.Option(help=BOX_MODEL_HELP)] = BoxModel.CUBOID
     weights: WeightsOption = None
@@ -77,8 +79,11 @@ def refine_command(
         min_score=options.min_score,
         weights=options.weights,
         box_origin=options.box_origin,
+        sensors=options.sensors.source(camera.source()),
     )
     files = open_boxes(boxes, images, out, camera.camera)
+    if request.sensors is not None:
+        request.sensors.check(image.image.name for image in files.images if image.image is not None)
     read = [*(image.image for image in files.images if image.image is not None), *files_in(camera.calib)]
     for target in files.targets:
         check_not_over("out", target, read)

@@ -18,6 +18,7 @@ from fgrecon.cli.options import (
     WeightsOption,
 )
 from fgrecon.cli.outputs import check_outputs
+from fgrecon.cli.sensor_options import SensorOptions
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
@@ -116,6 +117,7 @@ class RunOptions:
     scene: SceneOptions
     delivery: Delivery
     vehicles: VehicleOptions
+    sensors: SensorOptions
     drawn: DrawnOptions
 
     def request(self, source: str, out: Path) -> VideoRequest:
@@ -138,6 +140,7 @@ class RunOptions:
             **vars(self.frames),
             **vars(self.motion),
             **{name: value for name, value in vars(self.vehicles).items() if name != "scale_to_image"},
+            sensors=self.sensors.source(self.camera.source()),
             video=self.drawn.video,
             picture_frame=self.drawn.picture_frame,
         )

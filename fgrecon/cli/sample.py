@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,20 +29,26 @@ def sample_command(
 ) -> None:
     """Make small inputs to try the other commands with: a rendered street of three cars, and a track of one.
 
-    Writes street.png, its calibration calib.txt (KITTI's format), the cars' keypoints as a network would report them in
-    cars.json, their boxes in boxes.txt and a detector's 3D boxes in detections.txt; and TRACK.json, one car in eight
-    images with its true poses, and these images in the folder drive.
+    Writes street.png, its calibration calib.txt (KITTI's format), a LiDAR's points in street.npz, the cars' keypoints
+    as a network would report them in cars.json, their boxes in boxes.txt and a detector's 3D boxes in detections.txt;
+    and TRACK.json, one car in eight images with its true poses, and these images in the folder drive.
     """
+    import numpy as np
+
     from fgrecon.core.size_prior import size_prior
     from fgrecon.io.catalogue import load_prior
+    from fgrecon.io.files import write_bytes
     from fgrecon.io.images import write_png
-    from fgrecon.simulation.sample import GROUND, sample_drive, sample_street, sample_track
+    from fgrecon.simulation.sample import GROUND, sample_drive, sample_scan, sample_street, sample_track
 
     screen = terminal.screen()
     prior = load_prior("car14").for_fleet(size_prior("kitti"))  # its cars are of the size that the guides have
     out.mkdir(parents=True, exist_ok=True)
     street, track = sample_street(prior, seed), sample_track(prior, seed=seed)
     screen.wrote(write_png(out / "street.png", street.image))
+    scan = BytesIO()
+    np.savez_compressed(scan, points=sample_scan(street, seed).astype(np.float32))
+    screen.wrote(write_bytes(out / "street.npz", scan.getvalue()))
     screen.write_text(out / "calib.txt", _calibration(_projection(street)))
     screen.write_text(out / "cars.json", _json(_keypoint_file(street, prior.category)))
     screen.write_text(out / "boxes.txt", _boxes(street, "street.png"))

@@ -14,6 +14,7 @@ from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
 from fgrecon.core.checks import as_instance, as_list, as_rows, as_shape
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.geometry import box_around
 from fgrecon.core.input_warnings import warn
 from fgrecon.core.observation import Observation
@@ -46,6 +47,7 @@ def refine_boxes(
     size_prior: SizesLike | None = None,
     options: Options | None = None,
     box_origin: BoxOrigin | str = BoxOrigin.BOTTOM,
+    evidence: Sequence[Evidence] = (),
 ) -> list[RefinedBox]:
     """Better 3D boxes of the vehicles in an image, by their keypoints.
 
@@ -66,6 +68,7 @@ def refine_boxes(
         options: Settings; None takes 2D boxes to enclose the projected 3D box, as KITTI's and nuScenes' do.
         box_origin: What the locations of `boxes` are: centres of their bottom faces, as `Box3D` has them, or of the
             boxes, which then have sizes. Results have bottom faces.
+        evidence: What other sensors say of the vehicles, as in `fgrecon.reconstruct_image`.
 
     Returns:
         What became of each box, in order. None is refined where they stand half their height above a given ground, as
@@ -100,6 +103,7 @@ def refine_boxes(
         seen_by,
         boxes=[boxes[i] for i in looked],
         box_errors=errors,
+        evidence=evidence,
         **how,
     )
     solved = {looked[n]: vehicle for n, vehicle in zip(scene.numbers, scene.vehicles, strict=True)}

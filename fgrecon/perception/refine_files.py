@@ -29,6 +29,7 @@ from fgrecon.io.nuscenes_detections import Submission, is_submission, read_submi
 from fgrecon.io.run_settings import RunSettings
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
+from fgrecon.perception.sensor_source import SensorSource
 from fgrecon.solve.box_origin import contradicted_origin, on_bottom, with_origin
 from fgrecon.solve.inputs import as_ground
 
@@ -47,6 +48,7 @@ class RefineRequest:
         min_score: Boxes of a lower score stay as they are.
         weights: Keypoint network, or None for the shipped one.
         box_origin: What the locations of the files are; those that are written are alike. nuScenes' are known.
+        sensors: Other sensors' files, or None.
     """
 
     errors: BoxErrors
@@ -55,6 +57,7 @@ class RefineRequest:
     min_score: float = 0.5
     weights: Path | None = None
     box_origin: BoxOrigin = BoxOrigin.BOTTOM
+    sensors: SensorSource | None = None
 
     def __post_init__(self) -> None:
         """Check the score.
@@ -126,7 +129,7 @@ class Refiner:
 
     def __call__(self, image: BoxedImage[Boxed]) -> RefinedImage:
         """Refine an image's boxes; one that cannot be used keeps them, and says why."""
-        origin = self._origin(image)
+        origin, sensors = self._origin(image), self.request.sensors
         try:
             camera, offset, boxed = self._boxes(image)
             if self.contradiction is not None:
@@ -144,6 +147,7 @@ class Refiner:
                     box_errors=self.request.errors,
                     keypoint_detector=self._network,
                     box_origin=origin,
+                    evidence=() if sensors is None else sensors.evidence(image.image),
                     **self.request.settings.arguments(),
                 )
         except FgreconError as error:

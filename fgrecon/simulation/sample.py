@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
@@ -24,6 +25,7 @@ GROUND = Ground.level(1.65)
 LABEL_OFFSET = np.array([0.06, -0.0004, 0.0027])
 """A labelled point in the camera's frame is X + offset, metres; as in KITTI's calibrations."""
 
+_POINTS, _ON_GROUND, _RANGE_SIGMA = 3e4, 2000, 0.02  # of a scan: on cars, for each steradian of theirs; metres
 _LAMBDA = 1.2
 """Coefficients are kept within this, for cars that look like some."""
 _AHEAD, _ONCOMING = -np.pi / 2, np.pi / 2
@@ -77,6 +79,34 @@ def sample_street(prior: ShapePrior, seed: int = 0) -> SampleStreet:
     assert KITTI_CAMERA.image_size is not None
     background = road(KITTI_CAMERA, GROUND, KITTI_CAMERA.image_size, seed)
     return SampleStreet(_picture(prior, vehicles, poses, colours, background), KITTI_CAMERA, cars)
+
+
+def sample_scan(street: SampleStreet, seed: int = 0) -> NDArray[np.float64]:
+    """(N, 3) points of a LiDAR at the camera, in its frame, metres: on the cars' sides that it sees, and on the ground.
+
+    Args:
+        street: What is there.
+        seed: Of the points' places and noise.
+    """
+    rng = np.random.default_rng([seed, 3])
+    scan = []
+    for car in street.cars:
+        truth = car.truth
+        corners = transform(truth.camera_T_object, truth.vehicle.vertices)[truth.vehicle.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        middles = corners.mean(axis=1)
+        solid = np.maximum(-(normals * middles).sum(axis=1), 0.0) / np.linalg.norm(middles, axis=1) ** 3
+        chosen = corners[rng.choice(len(solid), round(float(solid.sum()) * _POINTS), p=solid / solid.sum())]
+        first, second = np.sort(rng.uniform(size=(2, len(chosen), 1)), axis=0)  # even in a triangle
+        scan.append(first * chosen[:, 0] + (second - first) * chosen[:, 1] + (1.0 - second) * chosen[:, 2])
+    angle, below = rng.uniform(-0.7, 0.7, _ON_GROUND), rng.uniform(0.05, 0.35, _ON_GROUND)
+    away = GROUND.distance / below
+    scan.append(np.stack([away * np.sin(angle), np.full(_ON_GROUND, GROUND.distance), away * np.cos(angle)], axis=1))
+    points = np.concatenate(scan)
+    noise: NDArray[np.float64] = 1.0 + _RANGE_SIGMA * rng.normal(size=(len(points), 1)) / np.linalg.norm(
+        points, axis=1, keepdims=True
+    )
+    return points * noise
 
 
 def sample_track(prior: ShapePrior, frames: int = 8, seed: int = 0) -> list[SeenCar]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import GraphFactor
@@ -52,6 +53,7 @@ class VehicleTracker(Protocol):
         world_T_camera: Array | None = None,
         ground: Ground | None = None,
         motion_covariance: Array | None = None,
+        evidence: Sequence[Evidence] = (),
     ) -> Mapping[int, VehicleEstimate]:
         """Take a frame; the estimates of the vehicles that it shows, by id. The arguments are `fgrecon.Tracker`'s."""
 
@@ -113,6 +115,7 @@ class Follower:
         poses: CameraPoses | None = None,
         moving: bool = False,
         window_graph: Callable[[int], tuple[GraphFactor, ...]] | None = None,
+        sense: Callable[[FrameRecord], Sequence[Evidence]] | None = None,
     ) -> None:
         """Take what does the work.
 
@@ -125,8 +128,9 @@ class Follower:
             moving: Whether it moves by the motions in the records instead (`CameraPath`).
             window_graph: Gives the factors of a vehicle's window, as `fgrecon.Tracker.window_graph` does. Each frame
                 has those of one: of the longest windows that of the nearest vehicle. None: no frame has them.
+            sense: What other sensors say of a frame's vehicles; None where there are none.
         """
-        self._window_graph = window_graph
+        self._window_graph, self._sense = window_graph, sense
         self.tracker, self.association, self.camera, self.ground = tracker, association, camera, ground
         self.poses, self._path = poses, CameraPath(poses, moving=moving)
         self._time = -np.inf
@@ -154,6 +158,7 @@ class Follower:
             world_T_camera=world_T_camera,
             ground=self.ground,
             motion_covariance=motion_covariance,
+            **({} if self._sense is None else {"evidence": self._sense(record)}),
         )
         for identity in ids:
             if identity is not None and identity in estimates:

@@ -5,6 +5,7 @@ image ---- FrameDetector: boxes, keypoints ---- Follower: ids, by association --
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.options import Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.vehicle_estimate import VehicleEstimate
@@ -76,6 +78,7 @@ class ImageTracker:
         self._association = GatedAssociation(given_up=self.tracker.forget) if association is None else association
         self._places: dict[int, NDArray[np.float64]] = {}  # of the camera in the image at hand, by its number
         self._follower: Follower | None = None
+        self._evidence: Sequence[Evidence] = ()
 
     def update(
         self,
@@ -85,6 +88,7 @@ class ImageTracker:
         camera: Camera | ArrayLike,
         world_T_camera: ArrayLike | None = None,
         ground: Ground | float | None = None,
+        evidence: Sequence[Evidence] = (),
     ) -> dict[int, VehicleEstimate]:
         """Take an image; the networks look at it.
 
@@ -95,6 +99,7 @@ class ImageTracker:
                 elsewhere needs an `ImageTracker` of its own, since ids go on by where boxes were in the image before.
             world_T_camera: (4, 4) pose of the camera in a world that stands still; None where it is not known.
             ground: Ground plane in the camera's frame; a number is the height in metres of a level camera.
+            evidence: What other sensors say of the vehicles, as in `fgrecon.reconstruct_image`.
 
         Returns:
             The estimates by id, by this image and those before.
@@ -114,7 +119,12 @@ class ImageTracker:
             self._places[number] = as_camera_pose(world_T_camera)
         record = self._look(SourceFrame(number, time, f"image {number}", pixels))
         if self._follower is None:
-            self._follower = Follower(self.tracker, self._association, seen_by, poses=CameraPoses(self._places))
+            self._follower = Follower(
+                *(self.tracker, self._association, seen_by),
+                poses=CameraPoses(self._places),
+                sense=lambda _: self._evidence,
+            )
+        self._evidence = evidence
         self._follower.camera, self._follower.ground = seen_by, plane
         self.frame = self._follower(record)
         return dict(self.frame.estimates)

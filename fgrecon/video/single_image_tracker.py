@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.observation import Observation
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.pipeline import reconstruct
@@ -45,13 +46,14 @@ class SingleImageTracker:
         world_T_camera: Array | None = None,
         ground: Ground | None = None,
         motion_covariance: Array | None = None,  # noqa: ARG002 - one image knows of no motion
+        evidence: Sequence[Evidence] = (),
     ) -> Mapping[int, VehicleEstimate]:
         """The estimates of the vehicles that can be reconstructed, by id."""
         estimates: dict[int, VehicleEstimate] = {}
         refused: dict[int, FgreconError] = {}
         for identity, observation in observations.items():
             try:
-                result = reconstruct(observation, camera, ground=ground, **self._arguments)
+                result = reconstruct(observation, camera, ground=ground, evidence=evidence, **self._arguments)
             except FgreconError as error:
                 refused[identity] = error
                 continue

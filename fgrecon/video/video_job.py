@@ -6,10 +6,10 @@ VideoRequest ---- prepare_video (read, check, find the camera) ---- VideoJob ---
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from fgrecon.batch.parts import refuse_batch
 from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.input_warnings import InputWarnings, camera_warning_of, input_warning_of, summed_up
 from fgrecon.core.text import counted
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
@@ -46,6 +47,7 @@ from fgrecon.io.video import check_video
 from fgrecon.io.video_frames import packet_times
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.sessions import at_most, threads_of_networks
+from fgrecon.perception.sensor_source import SensorSource
 from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.box_check import boxes_warning
 from fgrecon.solve.tracker import Tracker
@@ -56,6 +58,7 @@ from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector
 from fgrecon.video.given import KINDS, Given, in_words, read_given
 from fgrecon.video.motion_estimator import MotionEstimator
+from fgrecon.video.records import FrameRecord
 from fgrecon.video.rows import frame_lines, rows_of, tracking_text
 from fgrecon.video.run import VideoRun, run_video
 from fgrecon.video.single_image_tracker import SingleImageTracker
@@ -90,6 +93,7 @@ class VideoRequest:
         together: Whether the vehicles of an image share its ground.
         video: Annotated video that is to be written afterwards, or None.
         picture_frame: Frame that is to be drawn afterwards, or None.
+        sensors: Other sensors' files, or None.
     """
 
     source: str
@@ -112,6 +116,7 @@ class VideoRequest:
     together: bool = True
     video: Path | None = None
     picture_frame: int | None = None
+    sensors: SensorSource | None = None
 
 
 @dataclass(frozen=True)
@@ -182,6 +187,8 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
         raise InvalidInputError("ground", ground.distance, fix)
     drive = open_video(request.source) if is_data_set(request.source) else None
     source, given = _open_source(request, drive)
+    if request.sensors is not None and isinstance(source, ImageFrames):
+        request.sensors.check(path.name for path in source.paths)
     if source.assumed_rate:
         warn(
             f"No frame rate (`fps`, --fps) is given: {DEFAULT_RATE:g} frames per second are assumed; speeds go with it."
@@ -360,6 +367,7 @@ def track_video(
         poses=job.poses,
         moving=job.moving,
         window_graph=tracker.window_graph if isinstance(tracker, Tracker) and window_graph else None,
+        sense=None if request.sensors is None else partial(_sensed, job, request.sensors),
     )
     with warnings.catch_warnings(), summed_up(), _threads_beside_solving():
         warnings.simplefilter("ignore", UncoveredFramesWarning)  # said below
@@ -395,6 +403,16 @@ def _threads_beside_solving() -> Iterator[None]:
             yield
     finally:
         cv2.setNumThreads(before)
+
+
+def _sensed(job: VideoJob, sensors: SensorSource, record: FrameRecord) -> Sequence[Evidence]:
+    """What other sensors say of a frame."""
+    path = Path(record.name)
+    if isinstance(job.source, ImageFrames):
+        path = job.source.paths[job.source.numbers.index(record.number)]
+    elif isinstance(job.source, VideoFrames):
+        path = Path(str(record.number))
+    return sensors.evidence(path)
 
 
 def _keypoint_warnings(job: VideoJob, run: VideoRun) -> list[str]:

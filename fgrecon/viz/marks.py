@@ -87,9 +87,8 @@ def draw_points(
         zorder: What they are above.
     """
     used = weights >= TRUSTED
-    look: dict[str, Any] = {"linewidths": 0.25, "zorder": zorder}
-    axes.scatter(*places[~used].T, s=2.0, marker="x", color=[unit(style.FADED)], alpha=0.8, **look)
-    axes.scatter(*places[used].T, s=1.6, color=[unit(colour)], edgecolors=[unit(style.PAPER)], **look)
+    axes.scatter(*places[~used].T, s=1.0, marker="x", color=[unit(style.FADED)], alpha=0.6, lw=0.2, zorder=zorder)
+    axes.scatter(*places[used].T, s=1.2, color=[unit(colour)], edgecolors=[unit(style.PAPER)], lw=0.1, zorder=zorder)
 
 
 def draw_box(axes: Any, box: NDArray[np.float64]) -> None:

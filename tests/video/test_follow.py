@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.camera import Ground
+from fgrecon.core.evidence import Points
 from fgrecon.io.export import read_video_frames
 from fgrecon.io.poses import CameraPoses
 from fgrecon.simulation import KITTI_CAMERA
@@ -220,3 +221,20 @@ def test_lines_of_frames_tell_the_ground_to_exports(tmp_path):
             assert vehicle.ground is None
         else:
             np.testing.assert_allclose([*vehicle.ground.normal, vehicle.ground.distance], [*told.normal, told.distance])
+
+
+def test_a_tracker_is_given_what_other_sensors_say_of_the_frame():
+    told = []
+
+    class Listening(SingleImageTracker):
+        def update(self, time, observations, *, evidence=(), **arguments):
+            told.append(evidence)
+            return super().update(time, observations, evidence=evidence, **arguments)
+
+    points = Points(np.array([[0.0, 0.0, 10.0]]))
+    known = {1: (points,)}
+    sense = lambda one: known.get(one.number, ())  # noqa: E731 - shorter than a function
+    follow = Follower(Listening(prior="car14"), GatedAssociation(), KITTI_CAMERA, sense=sense)
+    for one in (record(0), record(1)):
+        follow(one)
+    assert told == [(), (points,)]

@@ -17,6 +17,7 @@ from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.perception.stereo import stereo_depth
 from fgrecon_research.evaluation.point_baselines import score_baselines
 from fgrecon_research.evaluation.run import ScoredRivals
+from fgrecon_research.evaluation.sensed import score_sensed
 from fgrecon_research.io.drive_sensors import Sensor, lidar_points, right_image
 
 Array = NDArray[np.float64]
@@ -37,7 +38,7 @@ class OtherMethods:
 
     def __call__(self, looked: LookedFrame) -> list[Mapping[str, BoxOutcome]]:
         """The outcomes of each box by the methods' names."""
-        scored = [self._rivals(looked)]
+        scored = [self._rivals(looked), score_sensed(looked, self._sensors)]
         if Sensor.LIDAR in self._sensors:
             scored.append(score_baselines(looked, lidar_points(looked.frame)))
         if Sensor.RIGHT in self._sensors:

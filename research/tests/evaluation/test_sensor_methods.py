@@ -70,6 +70,9 @@ def test_baselines_stand_beside_the_picture_alone(scanned, setup, scene):  # noq
     assert right.outcomes[CUBOID].metres < 0.5
     assert right.outcomes[MEDIAN].metres < 2.0
     assert "no pose" in refused.outcomes[CUBOID].failure
+    assert {"lidar", "lidar/4", "lidar/16", "lidar_turned"} < set(right.outcomes)
+    assert right.outcomes["lidar"].metres < right.outcomes[CUBOID].metres + 0.2
+    assert right.outcomes["lidar"] != right.outcomes["lidar/16"]
     assert set(group_boxes([right])["points"]) <= {"100-500 points", "from 500 points on"}
     assert "points" in right.rows()[0]
 

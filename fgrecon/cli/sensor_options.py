@@ -1,0 +1,50 @@
+"""The options of other sensors' files, which several commands have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from fgrecon.io.cameras.camera_source import CameraSource
+    from fgrecon.perception.sensor_source import SensorSource
+
+_SENSORS = "Other sensors"
+_FILES = "FILE|FOLDER|PATTERN"
+
+
+@dataclass(frozen=True)
+class SensorOptions:
+    """What other sensors measured: files of their own for each image, named as it."""
+
+    lidar: Annotated[
+        str | None,
+        typer.Option(
+            metavar=_FILES,
+            help="Points of a LiDAR: KITTI's or nuScenes' bin, npz, npy, pcd, ply, las; named as the images.",
+            rich_help_panel=_SENSORS,
+        ),
+    ] = None
+    lidar_pose: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="From the points' frame to the camera's: 12 numbers [R | t], or JSON with a matrix.",
+            show_default="by KITTI's calibration or nuScenes' tables",
+            rich_help_panel=_SENSORS,
+        ),
+    ] = None
+
+    def source(self, camera: CameraSource) -> SensorSource | None:
+        """The files as the library takes them; None where none are given.
+
+        Raises:
+            InvalidInputError: Options do not fit one another, or there are no such files.
+        """
+        from fgrecon.perception.sensor_source import SensorSource
+
+        made = SensorSource(self.lidar, self.lidar_pose, camera)
+        return made if made.given else None

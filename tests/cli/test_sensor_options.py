@@ -1,0 +1,75 @@
+"""`--lidar` of the commands: vehicles come nearer to where they are, and what cannot be used is refused."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.cli import main
+from fgrecon.core.errors import InvalidInputError
+
+pytest.importorskip("torch")
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.app, [*map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sensors") / "sample"
+    done = run("sample", "--out", folder)
+    assert done.exit_code == 0, done.output
+    return folder
+
+
+def test_points_take_most_of_the_error_off(sample, tmp_path):
+    from fgrecon.core.size_prior import size_prior
+    from fgrecon.io.catalogue import load_prior
+    from fgrecon.simulation.sample import sample_street
+
+    truth = sample_street(load_prior("car14").for_fleet(size_prior("kitti"))).cars
+    errors = {}
+    for name, more in (("alone", ()), ("lidar", ("--lidar", sample / "street.npz", "--picture", tmp_path / "p.png"))):
+        given = sample / "cars.json", "--image", sample / "street.png"
+        done = run("reconstruct", *given, "--json", tmp_path / f"{name}.json", *more)
+        assert done.exit_code == 0, done.output
+        found = json.loads((tmp_path / f"{name}.json").read_text())["instances"]
+        places = [np.array(one["result"]["camera_T_object"])[:3, 3] for one in found]
+        pairs = zip(places, truth, strict=True)
+        errors[name] = [np.linalg.norm(place - car.truth.camera_T_object[:3, 3]) for place, car in pairs]
+    assert max(errors["lidar"]) < 0.2 < np.mean(errors["alone"])
+
+
+def test_boxes_of_others_are_refined_by_points(sample, tmp_path):
+    boxes, image, calib = (sample / name for name in ("detections.txt", "street.png", "calib.txt"))
+    done = run("refine", boxes, image, "--calib", calib, "--out", tmp_path / "r.txt", "--lidar", sample / "street.npz")
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "r.txt").read_text() != boxes.read_text()
+
+
+def test_a_scan_of_no_image_is_refused(sample, tmp_path):
+    (tmp_path / "scans").mkdir()
+    np.savez(tmp_path / "scans" / "other.npz", points=np.ones((3, 3)))
+    done = run("reconstruct", sample / "cars.json", "--image", sample / "street.png", "--lidar", tmp_path / "scans")
+    assert isinstance(done.exception, InvalidInputError)
+    assert "street.png" in str(done.exception)
+    np.savez(tmp_path / "turned.npz", points=np.load(sample / "street.npz")["points"][:, [2, 0, 1]] * [1, -1, -1])
+    done = run(
+        "reconstruct", sample / "cars.json", "--image", sample / "street.png", "--lidar", tmp_path / "turned.npz"
+    )
+    assert "LiDAR's frame" in str(done.exception)
+
+
+def test_a_batch_has_the_scan_of_each_image(sample, tmp_path):
+    import pyarrow.parquet as pq
+
+    places = {}
+    for name, more in (("alone", ()), ("lidar", ("--lidar", sample / "street.npz"))):
+        out = tmp_path / name
+        done = run("batch", sample / "street.png", "--calib", sample / "calib.txt", "--out", out, *more)
+        assert done.exit_code == 0, done.output
+        places[name] = pq.read_table(out).column("z").to_pylist()
+    assert len(places["alone"]) == len(places["lidar"])
+    assert places["alone"] != places["lidar"]

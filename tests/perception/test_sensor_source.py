@@ -1,0 +1,63 @@
+"""Files of other sensors as evidence of an image: placed by whatever says where the sensor is."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.cameras.camera_source import CameraSource
+from fgrecon.perception.sensor_source import SensorSource
+
+POINTS = np.array([[20.0, 3.0, -1.0], [15.0, -2.0, 0.5]])  # of a LiDAR: ahead, left, up
+LIDAR = "0 -1 0 0.1 0 0 -1 -0.2 1 0 0 -0.3"
+P2 = "700 0 600 0 0 700 180 0 0 0 1 0"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    np.column_stack([POINTS, np.ones(2)]).astype("<f4").tofile(tmp_path / "000004.bin")
+    (tmp_path / "calib.txt").write_text(f"P2: {P2}\nTr_velo_cam {LIDAR}\n")
+    return tmp_path
+
+
+def test_a_scan_is_placed_and_knows_where_its_sensor_is(folder: Path) -> None:
+    given = CameraSource(calib=folder / "calib.txt")
+    source = SensorSource(lidar=str(folder), camera=given)
+    source.check(["000003.png", "000004.png"])
+    (points,) = source.evidence(Path("000004.png"))
+    np.testing.assert_allclose(points.points, [[-2.9, 0.8, 19.7], [2.1, -0.7, 14.7]], atol=1e-5)
+    np.testing.assert_allclose(points.origin, [0.1, -0.2, -0.3])
+    assert source.evidence(Path("000005.png")) == ()
+    (folder / "pose.txt").write_text(LIDAR)
+    again = SensorSource(lidar=str(folder / "000004.bin"), lidar_pose=folder / "pose.txt")
+    np.testing.assert_allclose(again.evidence(Path("any.png"))[0].points, points.points)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"lidar_pose": Path("pose.txt")}, "--lidar"),
+        ({"lidar": "nowhere"}, "end in"),
+    ],
+)
+def test_what_does_not_fit_is_refused(folder: Path, monkeypatch, given: dict, message: str) -> None:
+    monkeypatch.chdir(folder)
+    with pytest.raises(InvalidInputError, match=message):
+        SensorSource(**given)
+
+
+def test_files_of_other_images_are_refused(folder: Path) -> None:
+    with pytest.raises(InvalidInputError, match=r"such as 000007\.png"):
+        SensorSource(lidar=str(folder)).check(["000007.png"])
+
+
+def test_points_of_another_frame_are_refused_with_the_cause(folder: Path) -> None:
+    import fgrecon
+
+    camera = Camera(np.array([[700.0, 0, 600], [0, 700, 180], [0, 0, 1]]), image_size=(1200, 360))
+    np.save(folder / "000009.npy", POINTS)
+    evidence = SensorSource(lidar=str(folder / "000009.npy")).evidence(Path("000009.png"))
+    with pytest.raises(InvalidInputError, match="LiDAR's frame"):
+        fgrecon.reconstruct(np.full((14, 2), np.nan), camera, box=[500, 150, 700, 250], evidence=evidence)
