@@ -47,12 +47,16 @@ def results(path="a/street.jpg"):
     """What ultralytics returns for an image."""
     points, trust = found(Tensor)
     boxes = SimpleNamespace(xyxy=Tensor(BOX[None]))
-    return SimpleNamespace(keypoints=SimpleNamespace(xy=points, conf=trust), boxes=boxes, orig_shape=(9, 9), path=path)
+    return SimpleNamespace(
+        keypoints=SimpleNamespace(xy=points, conf=trust), boxes=boxes, orig_shape=(375, 1242), path=path
+    )
 
 
 def test_results_of_ultralytics():
     (vehicle,) = fgrecon.keypoints_from(results())
-    assert vehicle.image == "street.jpg"
+    assert (vehicle.image, vehicle.image_size) == ("street.jpg", (1242, 375))
+    with pytest.raises(fgrecon.errors.InvalidInputError, match="an image of 1242 x 375 pixels"):
+        fgrecon.keypoints_from(results(), image_size=(640, 640))
     same(vehicle, expected(BOX, confidence_midpoint=0.5))
     several = keypoints_from([results(), results(None)])
     assert [vehicle.name for vehicle in several] == ["0:0", "1:0"]
