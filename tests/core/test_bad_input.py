@@ -97,6 +97,7 @@ def test_what_determines_no_pose_is_degenerate(spoilt, field):
         assert error.value.fix
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (1e5, -1e5)])
 def test_random_points_never_crash(offset):
     """Garbage that is well formed gives a result or a refusal, never another exception nor a dead process.

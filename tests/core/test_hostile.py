@@ -184,6 +184,7 @@ def test_absurd_boxes_and_sizes_are_refused(make, field):
     assert error.value.field == field
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 @pytest.mark.parametrize("size", [0.3, 30.0])
 def test_a_vehicle_at_the_limits_is_taken_and_no_result_lies_beyond(size):
     seen = observe(load_prior("car14"), yaw_pose(0.5))
@@ -193,6 +194,7 @@ def test_a_vehicle_at_the_limits_is_taken_and_no_result_lies_beyond(size):
         assert inside or not result.status.determined
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 def test_a_3d_box_that_is_no_vehicles_is_refused_alone():
     prior = load_prior("car14")
     seen = [observe(prior, yaw_pose(0.5)), observe(prior, yaw_pose(0.6))]

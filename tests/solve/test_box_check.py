@@ -46,6 +46,7 @@ def test_others_are_not(factors, box):
     assert "boxes" not in message(factors, box=box)
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 def test_boxes_that_the_image_cuts_off_tell_nothing():
     _, seen = street(5, count=6)
     seen = [scaled(one, 1.2) for one in seen]

@@ -65,6 +65,7 @@ def test_boxes_come_nearer_to_the_truth():
     assert 0.4 < np.sqrt(np.mean(np.square(within))) < 1.6
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 def test_with_little_to_see_the_box_stays_near_what_it_was():
     """Points that are anywhere: depth is the box's."""
     pose = yaw_pose(0.6, (1.0, 1.65, 30.0))

@@ -289,11 +289,13 @@ def test_starts_from_elsewhere(seen, initial):
     assert np.degrees(rotation_angle(result.camera_T_object, seen[1])) < 5
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 def test_a_wrong_guess_is_trusted(seen):
     result = solve(seen[0], initial=0.7 + np.pi)
     assert np.degrees(rotation_angle(result.camera_T_object, seen[1])) > 60
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 def test_a_3d_box_is_a_start(prior, monkeypatch):
     """Points that are too unsure for ASPnP and one azimuth far off: only the box leads to the first search's car."""
     monkeypatch.setattr("fgrecon.solve.graph.multi_start.lower_poses", lambda *_: [])
@@ -331,6 +333,7 @@ def test_a_detectors_covariance_counts(seen):
     assert moves[1] < 0.5 * moves[0]
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 def test_a_box_outside_of_the_image_is_refused(seen):
     """A car that is cut off has edges outside; one of which nothing is in the image is in another."""
     observation, _ = seen

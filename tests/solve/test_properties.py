@@ -73,6 +73,7 @@ def test_scaled_pixels_and_intrinsics_change_nothing(seed, scale):
         close(other.camera_T_object, one.camera_T_object)
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 @few
 @given(seeds)
 def test_a_picture_upside_down_turns_the_pose(seed):
@@ -132,6 +133,7 @@ def test_a_car_that_is_given_twice_is_found_twice(seed):
     close(first.camera_T_object, second.camera_T_object)
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 @settings(max_examples=8, deadline=None, derandomize=True)
 @given(seeds)
 def test_no_step_raises_the_energy(seed):

@@ -189,6 +189,7 @@ def test_ids_are_forgotten_only_where_vehicles_are_followed(drives, weights, tmp
     assert list(made["methods"])[-2:] == ["online", "batch"]
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 def test_single_images_are_as_good_as_a_drive_where_nothing_is_followed(drives, weights, tmp_path):
     single = tmp_path / "training"
     for name in ("image_2", "label_2", "calib"):

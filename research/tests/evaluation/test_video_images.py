@@ -158,6 +158,7 @@ def test_processes_change_nothing(folder, setup, scene):
     assert score_drives(drives, {"drive": setup}, scene, rivals=["sqpnp_confident"], jobs=2) == alone
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 def test_each_drive_has_a_setup_of_its_own(folder, setup, scene):
     other = replace(read_drive(folder), name="other")
     refusing = replace(setup, detector=Refusing())

@@ -54,6 +54,7 @@ def test_a_focal_length_that_is_not_known_is_refused():
         fgrecon.Tracker().update(0.0, {1: observation}, camera=camera)
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 @pytest.mark.parametrize("roll", [88.5, 90.5, 120.0, 180.0])
 def test_a_camera_that_lies_on_its_side_sees_no_ground(roll):
     """Of none that vehicles alone could tell: they are then as without one."""
