@@ -23,11 +23,10 @@ from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.point_frames import check_points
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import CLASSES, SIZE_PRIORS, SizePrior, SizesLike, check_order, other_fleets, size_prior
+from fgrecon.core.size_prior import CLASSES, SizePrior, SizesLike, check_order, other_fleets, size_prior
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior, shipped_class_sizes
 from fgrecon.io.image_size import scale_between
-from fgrecon.solve.solve_settings import SIZES
 from fgrecon.solve.vehicle.model import VehicleModel, prepare, sized
 
 if TYPE_CHECKING:
@@ -87,7 +86,7 @@ class SolveSetup:
         fleet = None if sizes is None else size_prior(sizes)
         if fleet is not None:
             check_order("size_prior", fleet.mean, _usual_size(loaded))
-        model = prepare(loaded, _unknown(fleet), chosen.shape.basis_vectors)
+        model = prepare(loaded, fleet, chosen.shape.basis_vectors)
         return cls(chosen, loaded, model, as_ground(ground), fleet)
 
     def model_of(self, observations: Sequence[Observation]) -> VehicleModel:
@@ -105,17 +104,6 @@ class SolveSetup:
         found = [sizes.probabilities(one.probabilities, one.scheme.value) for one in said]
         share = {name: round(float(np.mean([one[name] for one in found])), 2) for name in CLASSES}
         return _of_class(self.prior, self.fleet, self.options.shape.basis_vectors, tuple(share.items()))
-
-
-@lru_cache(maxsize=16)
-def _unknown(fleet: SizePrior | None) -> SizePrior | None:
-    """The size of a vehicle of a fleet whose class nobody says."""
-    sizes = shipped_class_sizes()
-    if fleet is not SIZE_PRIORS.get(sizes.name):
-        return fleet
-    assert fleet is not None
-    either = sizes.size({"car": 1.0 - SIZES.van_share, "van": SIZES.van_share}, None, any_fleet=False)
-    return replace(either, name=fleet.name)
 
 
 @lru_cache(maxsize=64)  # one object for one class, so that what is prepared for it is found again

@@ -102,15 +102,4 @@ class StatusSettings:
     facing_probability: float = 0.01  # a facing that is less probable need not have a pose
 
 
-@dataclass(frozen=True)
-class SizeSettings:
-    """What a vehicle of a fleet is where nobody says of which class."""
-
-    van_share: float = 0.15
-    """Of those that are taken for a car of a fleet whose vans' sizes are known (`kitti`): its mean size lies by so much
-    between cars' and vans', and spreads as both. Chosen on KITTI's drives 0000 and 0003, of whose boxes a quarter are
-    vans; of all labels 9 % are. It also allows for a fleet whose mean is another one's."""
-
-
 FACING, SCENE, GROUND_FILTER, STATUS = FacingSettings(), SceneSettings(), GroundFilterSettings(), StatusSettings()
-SIZES = SizeSettings()

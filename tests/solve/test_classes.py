@@ -102,14 +102,3 @@ def test_a_network_that_tells_kinds_is_heard():
     setup = SolveSetup.of("car14", None, None)
     detection = fgrecon.Detection(seen(load_prior("car14")), kinds={"car": 0.1, "van": 0.9, "lorry": 0.0})
     assert "van 0.90" in setup.model_of([detection.evidence]).prior.name
-
-
-def test_a_vehicle_of_kitti_may_be_a_van_until_somebody_says_that_it_is_a_car():
-    one = seen(load_prior("car14").for_fleet(SIZE_PRIORS["kitti"]))
-    unknown = fgrecon.reconstruct(one, CAMERA, size_prior="kitti")
-    car = fgrecon.reconstruct(one, CAMERA, size_prior="kitti", evidence=[VehicleClass("car")])
-    numbers = fgrecon.reconstruct(one, CAMERA, size_prior=replace(SIZE_PRIORS["kitti"]))  # given as they are
-    assert unknown.box_size[2] > car.box_size[2]
-    assert off(car) < off(unknown)
-    assert off(numbers) == pytest.approx(off(car), abs=0.1)
-    assert np.trace(unknown.uncertainty.size_covariance) > np.trace(car.uncertainty.size_covariance)

@@ -70,7 +70,7 @@ def test_frames_that_left_a_window_count_as_those_in_it():
 
 
 def test_sizes_are_as_uncertain_as_those_of_the_traffic():
-    given, fleet = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5), replace(size_prior("kitti"))
+    given, fleet = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5), size_prior("kitti")
     cars = SizePrior("cars", fleet.mean, fleet.sigma, allowed=fleet.allowed)
     np.testing.assert_array_equal(cars.spread, np.diag(cars.sigma**2))
     with_vans, alone = (fgrecon.reconstruct(given, CAMERA, size_prior=size) for size in (fleet, cars))
