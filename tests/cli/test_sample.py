@@ -21,7 +21,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sample") / "made"
     done = run("sample", "--out", folder)
     assert done.exit_code == 0, done.output
-    names = ("street.png", "calib.txt", "cars.json", "boxes.txt", "detections.txt", "TRACK.json", "drive")
+    names = ("street.png", "street.npz", "calib.txt", "cars.json", "boxes.txt", "detections.txt", "TRACK.json", "drive")
     assert [line for line in done.stdout.splitlines() if line.startswith("Wrote")] == [
         f"Wrote {folder / name}." for name in names
     ]
@@ -32,7 +32,7 @@ def test_the_same_seed_gives_the_same_bytes(folder, tmp_path):
     assert run("sample", "--out", tmp_path / "again", "-q").output == ""
     assert run("sample", "--out", tmp_path / "other", "--seed", 1).exit_code == 0
     written = [path for path in folder.rglob("*") if path.is_file()]
-    assert len(written) == 6 + 8
+    assert len(written) == 7 + 8
     for path in written:
         assert (tmp_path / "again" / path.relative_to(folder)).read_bytes() == path.read_bytes()
     assert (tmp_path / "other" / "cars.json").read_bytes() != (folder / "cars.json").read_bytes()

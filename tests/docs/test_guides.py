@@ -81,7 +81,7 @@ def run_commands(text, sample):
 def needed(line):
     """The package or extra beside fgrecon that a command needs, if any."""
     words = shlex.split(line)[1:]
-    if words[1] in COMMANDS.get(words[0], {}):
+    if len(words) > 1 and words[1] in COMMANDS.get(words[0], {}):
         return "fgrecon-research"
     return "video" if any(word.endswith(".mp4") for word in words) else None
 

@@ -68,7 +68,7 @@ def test_each_keypoint_has_a_network_of_its_own():
 
     layout = RefineLayout.of(SMALL)
     patches = np.random.default_rng(0).integers(0, 255, (1, 1, 14, 3, PATCH, PATCH)).astype(np.uint8)
-    runner = refinement_on_torch(layout, untrained_arrays(layout), "cpu")
+    runner = refinement_on_torch(layout, untrained_arrays(layout), "cpu", 1)
     before = run_networks(runner, patches)
     np.testing.assert_allclose(np.exp(before).sum(axis=(-1, -2)), 1.0, atol=1e-5)
     patches[0, 0, 3] = 0

@@ -5,7 +5,8 @@ import pytest
 
 import fgrecon
 from fgrecon.core.geometry import position_covariance
-from fgrecon_research.evaluation.video_tracks import vote
+from fgrecon_research.evaluation import video_tracks
+from fgrecon_research.evaluation.video_tracks import VOTE, VOTE_BATCH
 from tests.made_up_track import K, pose_of
 from tests.results import changed
 
@@ -31,6 +32,12 @@ def directions(probability, result):
     found = np.zeros(BINS)
     found[ahead % BINS], found[(ahead + BINS // 2) % BINS] = probability, 1.0 - probability
     return found
+
+
+def vote(track):
+    """The results by the frames so far, and by all."""
+    voted = video_tracks.vote(track, [0.1 * number for number in range(len(track))])
+    return [(one[VOTE], one[VOTE_BATCH]) for one in voted]
 
 
 def facings(voted, way):

@@ -21,7 +21,7 @@ def sizes_command(
 ) -> None:
     """Measure sizes of cars, vans, lorries and trams by KITTI's labels, and count what the vehicle detector calls them.
 
-    The drives are those with labels in which each vehicle is counted once.
+    The drives are those with labels in which each vehicle is counted once. --verbose has no more to tell.
     """
     from fgrecon_research.annotation.class_sizes import class_file
 

@@ -34,7 +34,7 @@ def test_knet_says_the_same_without_normalisations_and_padding_by_hand():
     with torch.inference_mode():
         expected = knet(torch.from_numpy(crops).permute(0, 3, 1, 2).float())
         likelihood = torch.softmax(expected.maps.flatten(2), dim=2).view(expected.maps.shape)
-    found = knet_on_torch(KNetLayout.of(sizes), arrays.state, "cpu")(crops)
+    found = knet_on_torch(KNetLayout.of(sizes), arrays.state, "cpu", 1)(crops)
     np.testing.assert_allclose(np.log(found[0]), np.log(likelihood.numpy()), atol=1e-4)
     np.testing.assert_allclose(found[1], expected.visible, atol=5e-5)
     np.testing.assert_allclose(found[2], expected.azimuth, atol=5e-5)
@@ -77,7 +77,7 @@ def test_the_refinement_networks_say_the_same():
     with torch.inference_mode():
         logits = refinement(torch.from_numpy(patches).unflatten(1, (14, 3)).float())
         expected = torch.log_softmax(logits.flatten(2), dim=2)
-    (found,) = refinement_on_torch(RefineLayout.of(finer), arrays.refinement, "cpu")(patches)
+    (found,) = refinement_on_torch(RefineLayout.of(finer), arrays.refinement, "cpu", 1)(patches)
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
