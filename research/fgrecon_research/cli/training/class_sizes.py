@@ -21,7 +21,8 @@ def sizes_command(
 ) -> None:
     """Measure sizes of cars, vans, lorries and trams by KITTI's labels, and count what the vehicle detector calls them.
 
-    The drives are those with labels in which each vehicle is counted once. --verbose has no more to tell.
+    The drives are those with labels in which each vehicle is counted once. --verbose tells how often each
+    class is among all labels.
     """
     from fgrecon_research.annotation.class_sizes import class_file
 
@@ -31,4 +32,5 @@ def sizes_command(
     for name, one in content["classes"].items():
         length, width, height = one["mean"]
         screen.print(f"{name}: {one['count']} labels, {length:.2f} x {width:.2f} x {height:.2f} m")
+        screen.detail(f"{name}: {100.0 * one['share']:.1f} % of all")
     screen.wrote(write_text(out, json.dumps(content, indent=1) + "\n"))
