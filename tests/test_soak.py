@@ -12,6 +12,10 @@ from benchmarks.kills.jobs import torn
 from benchmarks.soak import __main__ as command
 from benchmarks.soak.problems import faults, problem
 
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::fgrecon.errors.ContradictoryInputWarning"
+)  # problems are odd on purpose
+
 
 def soak(monkeypatch, out, problems):
     told = ["soak", "--problems", str(problems), "--seed", "5", "--out", str(out)]

@@ -20,6 +20,10 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.scene import reconstruct_scene
 from tests.cars import CAMERA, observe, yaw_pose
 
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::fgrecon.errors.ContradictoryInputWarning"
+)  # upside down, mirrored, odd
+
 PRIOR = load_prior("car14")
 FAST = Options(keep_history=False, box="cuboid")
 KNOWN = Camera.of(CAMERA)
@@ -73,7 +77,6 @@ def test_scaled_pixels_and_intrinsics_change_nothing(seed, scale):
         close(other.camera_T_object, one.camera_T_object)
 
 
-@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 @few
 @given(seeds)
 def test_a_picture_upside_down_turns_the_pose(seed):
@@ -133,7 +136,6 @@ def test_a_car_that_is_given_twice_is_found_twice(seed):
     close(first.camera_T_object, second.camera_T_object)
 
 
-@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 @settings(max_examples=8, deadline=None, derandomize=True)
 @given(seeds)
 def test_no_step_raises_the_energy(seed):
