@@ -12,9 +12,7 @@ from benchmarks.kills.jobs import torn
 from benchmarks.soak import __main__ as command
 from benchmarks.soak.problems import faults, problem
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore::fgrecon.errors.ContradictoryInputWarning"
-)  # problems are odd on purpose
+pytestmark = pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")  # they are odd
 
 
 def soak(monkeypatch, out, problems):

@@ -20,9 +20,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.scene import reconstruct_scene
 from tests.cars import CAMERA, observe, yaw_pose
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore::fgrecon.errors.ContradictoryInputWarning"
-)  # upside down, mirrored, odd
+pytestmark = pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")  # mirrored
 
 PRIOR = load_prior("car14")
 FAST = Options(keep_history=False, box="cuboid")
