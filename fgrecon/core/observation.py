@@ -147,13 +147,7 @@ class Observation:
 
     def scaled(self, ratio: NDArray[np.float64], size: tuple[int, int]) -> Observation:
         """The same in pixels of an image of another size, whose sides are longer by the ratio (2,)."""
-        return replace(
-            self,
-            keypoints=(self.keypoints + 0.5) * ratio - 0.5,
-            box=None if self.box is None else self.box * np.tile(ratio, 2),
-            covariance=None if self.covariance is None else self.covariance * np.outer(ratio, ratio),
-            image_size=size,
-        )
+        return replace(self, **scaled_pixels(self.keypoints, self.box, self.covariance, ratio), image_size=size)
 
     def with_evidence(self, evidence: Sequence[Evidence]) -> Observation:
         """The observation with more evidence of its vehicle."""
@@ -211,6 +205,20 @@ class Observation:
 
 KeypointsLike = Observation | Mapping[str, ArrayLike] | ArrayLike
 """Keypoints of a vehicle: an observation; (u, v) or (u, v, confidence) by name; or pixels (K, 2), NaN for not found."""
+
+
+def scaled_pixels(
+    keypoints: NDArray[np.float64],
+    box: NDArray[np.float64] | None,
+    covariance: NDArray[np.float64] | None,
+    ratio: NDArray[np.float64],
+) -> dict[str, Any]:
+    """Keypoints (K, 2), box (4,) and covariances (K, 2, 2), by name, where the sides are longer by a ratio (2,)."""
+    return {
+        "keypoints": (keypoints + 0.5) * ratio - 0.5,
+        "box": None if box is None else box * np.tile(ratio, 2),
+        "covariance": None if covariance is None else covariance * np.outer(ratio, ratio),
+    }
 
 
 def as_directions(field: str, azimuth: ArrayLike) -> NDArray[np.float64]:

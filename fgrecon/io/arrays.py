@@ -35,6 +35,24 @@ def largest_bytes() -> int:
     return int(given)
 
 
+def read_limited(path: Path, field: str) -> bytes:
+    """The content of a file that has at most `largest_bytes`.
+
+    Args:
+        path: Its path.
+        field: What an error names.
+
+    Raises:
+        InvalidInputError: It cannot be read, or is larger.
+    """
+    try:
+        if path.stat().st_size > largest_bytes():
+            raise InvalidInputError(field, str(path), f"Give a file of at most {largest_bytes()} bytes.")
+        return path.read_bytes()
+    except OSError as error:
+        raise InvalidInputError(field, str(path), f"Give a file that can be read ({error.strerror}).") from error
+
+
 def read_arrays(
     content: bytes | Path, name: str, fix: str, fields: Iterable[str] | None = None
 ) -> dict[str, NDArray[Any]]:

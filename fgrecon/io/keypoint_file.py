@@ -41,7 +41,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.checks import one_word
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.observation import Observation
+from fgrecon.core.observation import Observation, scaled_pixels
 from fgrecon.io.image_size import scale_between
 from fgrecon.io.images import IMAGES
 from fgrecon.io.json_fields import Fields, numbers, plain_id, read_json
@@ -123,13 +123,7 @@ class Instance:
         ratio = np.array(scale_between(self.image_size, size, f"instance {self.name}: image_size", scale=scale))
         if (ratio == 1.0).all():
             return self
-        return replace(
-            self,
-            keypoints=(self.keypoints + 0.5) * ratio - 0.5,
-            box=None if self.box is None else self.box * np.tile(ratio, 2),
-            covariance=None if self.covariance is None else self.covariance * np.outer(ratio, ratio),
-            image_size=size,
-        )
+        return replace(self, **scaled_pixels(self.keypoints, self.box, self.covariance, ratio), image_size=size)
 
     @property
     def observation(self) -> Observation:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import FgreconError, InvalidInputError, MissingPackageError
-from fgrecon.io.arrays import largest_bytes, read_arrays, read_lone_array
+from fgrecon.io.arrays import read_arrays, read_limited, read_lone_array
 
 Array = NDArray[np.float64]
 
@@ -71,12 +71,7 @@ def read_cloud(path: Path) -> Cloud:
     read = _READERS.get(ending)
     if read is None:
         raise InvalidInputError("lidar", str(path), f"Give a file that ends in {', '.join(_READERS)}.")
-    try:
-        if path.stat().st_size > largest_bytes():
-            raise InvalidInputError("lidar", str(path), f"Give a file of at most {largest_bytes()} bytes.")
-        content = path.read_bytes()
-    except OSError as error:
-        raise InvalidInputError("lidar", str(path), f"Give a file that can be read ({error.strerror}).") from error
+    content = read_limited(path, "lidar")
     try:
         frame, numbers = read(content, path)
         points = as_shape(str(path), numbers, (None, 3), "Give points (N, 3).")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.checks import as_path
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
-from fgrecon.io.arrays import largest_bytes, read_arrays, read_lone_array
+from fgrecon.io.arrays import read_arrays, read_limited, read_lone_array
 from fgrecon.io.sensors.clouds import SENSORS
 
 Array = NDArray[np.float64]
@@ -71,12 +71,7 @@ def read_depth(path: str | Path, per_metre: float | None = None) -> Array:
 
 
 def _numbers(path: Path, ending: str) -> NDArray[Any]:
-    try:
-        if path.stat().st_size > largest_bytes():
-            raise InvalidInputError("depth", str(path), f"Give a file of at most {largest_bytes()} bytes.")
-        content = path.read_bytes()
-    except OSError as error:
-        raise InvalidInputError("depth", str(path), f"Give a file that can be read ({error.strerror}).") from error
+    content = read_limited(path, "depth")
     if ending == ".npz":
         arrays = read_arrays(content, str(path), "Give an array `depth` (H, W) in metres.", ("depth",))
         if "depth" not in arrays:
