@@ -47,7 +47,7 @@ T = TypeVar("T")
 _SIZE = (1280, 960)
 _SIGMAS = 1.96  # of a 95 % region of one number
 _SQUARED = 7.815  # of one of three numbers
-_WRONG = 0.2  # of the distance, as in docs/result.md
+_WRONG = 0.2  # of the distance, as in docs/reference/result.md
 _GROSS = 20.0  # degrees
 
 

@@ -1,4 +1,4 @@
-"""Learn shape priors from real 2D annotations and measure them: the tables of docs/learnt-priors.md.
+"""Learn shape priors from real 2D annotations and measure them: the tables of docs/explanation/learnt-priors.md.
 
     OMP_NUM_THREADS=1 python benchmarks/bench_nrsfm.py [--data ../shared/data] [--part PART] [--repeats N]
 

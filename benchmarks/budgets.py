@@ -9,8 +9,9 @@ the graph, whose factors have the keypoints inside. Keypoints are the arrays tha
 `Problem` or a `PoseEnergy`; and, as a reader of the code has to follow them, whatever a function that was handed
 keypoints returns, or makes and hands on. Every function counts where it is entered first; properties are no calls. A
 *place* is a stay in a file: one place as long as the calls that follow are in one file, another one where a file is
-come back to. They go *back up* where the room of a place is further down in the table of `docs/architecture.md`, which
-begins at the bottom, than that of the place before. `--way` prints the places. It is the way through
+come back to. They go *back up* where the room of a place is further down in the table of
+`docs/explanation/architecture.md`, which begins at the bottom, than that of the place before. `--way` prints the
+places. It is the way through
 the compiled kernels: what they do is one place, and their numpy versions go through more. So measured they passed 38
 places and went back up 9 times when the budgets were set; a static walk, which follows branches that are not taken as
 well, had found 47 and 11.
@@ -60,7 +61,7 @@ def lines_of(*folders: str) -> int:
 
 def rooms() -> dict[str, int]:
     """Place of each room in the layer table, from the bottom."""
-    table = (REPOSITORY / "docs/architecture.md").read_text(encoding="utf-8").partition("| room |")[2]
+    table = (REPOSITORY / "docs/explanation/architecture.md").read_text(encoding="utf-8").partition("| room |")[2]
     names = re.findall(r"^\| (?:`([\w/]+)`|\(public names\)) \|", table.partition("\n\n")[0], re.MULTILINE)
     return {name: height for height, name in enumerate(names)}
 

@@ -1,4 +1,4 @@
-"""Make the page of tuned numbers again, docs/settings.md, from the settings classes of fgrecon.
+"""Make the page of tuned numbers again, docs/reference/settings.md, from the settings classes of fgrecon.
 
     python docs/settings.py
 
@@ -22,7 +22,7 @@ from typing import Any
 import fgrecon
 from fgrecon.core.text import markdown_row
 
-PAGE = Path(__file__).with_name("settings.md")
+PAGE = Path(__file__).parent / "reference/settings.md"
 HEAD = """<!-- Made by `python docs/settings.py`. -->
 # Tuned numbers
 

@@ -1,1 +1,1 @@
-"""fgrecon as a service: programs ask over HTTP, people on a page. Presentation alone; see `docs/guides/service.md`."""
+"""fgrecon as a service: programs ask over HTTP, people on a page. Presentation alone; see `docs/how-to/service.md`."""

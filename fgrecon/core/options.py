@@ -33,7 +33,7 @@ class KeypointOptions:
         common_factor: Where the detector gives covariances, by how much keypoints and box say less in the covariances
             of the result than if their errors were independent: those of one vehicle go together. A `cuboid` box is no
             detector's, and counts whole. It moves no result. The default makes regions of the shipped networks hold on
-            KITTI's video, in labelled boxes and in detected ones (docs/result.md).
+            KITTI's video, in labelled boxes and in detected ones (docs/reference/result.md).
         facing_bias: Of a result that faces where the detector's directions give probability p, the log odds to face
             the right way are this, and `facing_slope` times those of p. Both by maximum likelihood from 1,246 boxes of
             KITTI's video, each found by networks that had not learnt from its drive; fitted without a drive and tested
@@ -66,7 +66,7 @@ class BoxOptions:
         sigma_pixels: The same in pixels, added in quadrature.
         left: By how much the left edge of a `detected` box lies further right than the outline's, as a fraction of its
             width. The defaults are those of the package's detector on KITTI's video; what `fgrecon calibrate --detect`
-            finds there is as good (docs/history.md).
+            finds there is as good (docs/history/index.md).
         upper: By how much its upper edge lies lower, as a fraction of its height.
         right: The right edge, as the left one.
         lower: The lower edge, as the upper one.
@@ -151,7 +151,7 @@ class ShapeOptions:
 
 
 OFF = ("laplacian", "planarity")
-"""Energy terms that are off by default (`docs/method.md` has what they cost)."""
+"""Energy terms that are off by default (`docs/explanation/method.md` has what they cost)."""
 
 _KINDS: dict[str, Any] = {
     "keypoints": KeypointOptions,

@@ -26,7 +26,7 @@ class SceneSettings:
     centimetre, as often closer to the truth as further away."""
     joint_visibility_step: float = 5e-4
     """The same of the scene: half a millimetre, where a result is known to some centimetres at best."""
-    # The ground; chosen on KITTI's video (docs/method.md)
+    # The ground; chosen on KITTI's video (docs/explanation/method.md)
     own_height_share: float = 0.35
     """Share of a given ground's deviation that is each vehicle's own. Of a ground that is given more vaguely than
     `Ground` is by itself it is that of what `Ground` has: vehicles are as near to their road, whatever is known."""
@@ -73,7 +73,7 @@ class GroundFilterSettings:
 
 @dataclass(frozen=True)
 class StatusSettings:
-    """How far results are to be trusted; chosen on five drives of KITTI's video, tested on two (`docs/result.md`)."""
+    """Limits of trust in results; chosen on five drives of KITTI's video, tested on two (docs/reference/result.md)."""
 
     ambiguous_facing: float = 0.8  # less is ambiguous: 80 % of the cars that are flipped, and 6 % of the others
     size_ratio: float = 5.0  # times longer, wider or higher than the prior's mean, or as many times less: no vehicle

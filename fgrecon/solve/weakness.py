@@ -1,7 +1,7 @@
 """Why a result that converged is weak: little carries it, or it is at the edge of what was said beforehand.
 
-Chosen on five drives of KITTI's video and tested on two others (`docs/result.md`). What is said of a focal length that
-was found holds for all vehicles that tell it.
+Chosen on five drives of KITTI's video and tested on two others (`docs/reference/result.md`). What is said of a focal
+length that was found holds for all vehicles that tell it.
 """
 
 from __future__ import annotations

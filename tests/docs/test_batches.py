@@ -9,7 +9,7 @@ from fgrecon.batch import result_schema
 from tests.conftest import REPOSITORY
 from tests.docs.pages import blocks, rows
 
-TEXT = (REPOSITORY / "docs/guides/batches.md").read_text(encoding="utf-8")
+TEXT = (REPOSITORY / "docs/how-to/batches.md").read_text(encoding="utf-8")
 
 
 def test_the_table_has_every_column_of_the_schema_in_order():

@@ -17,7 +17,7 @@ from tests.docs.pages import commands, fenced
 GUIDES = [
     REPOSITORY / "README.md",
     REPOSITORY / "docs/index.md",
-    *sorted((REPOSITORY / "docs/guides").glob("*.md")),
+    *sorted((REPOSITORY / "docs/how-to").glob("*.md")),
 ]
 NEEDS_MORE = {
     r"\bDATA\b": "real data",

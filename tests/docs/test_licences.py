@@ -8,7 +8,7 @@ import pytest
 
 from tests.conftest import REPOSITORY
 
-PAGE = (REPOSITORY / "docs" / "licences.md").read_text()
+PAGE = (REPOSITORY / "docs/reference/licences.md").read_text()
 
 
 def needed():

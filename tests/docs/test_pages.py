@@ -50,7 +50,7 @@ def test_python_is_python(page):
 
 
 def test_the_rooms_are_those_that_are_checked():
-    found = rows((REPOSITORY / "docs/architecture.md").read_text(encoding="utf-8"))
+    found = rows((REPOSITORY / "docs/explanation/architecture.md").read_text(encoding="utf-8"))
     start = next(i for i, row in enumerate(found) if row[0] == "room") + 2
     table = {row[0].strip("`"): set(re.findall(r"`([^`]+)`", row[2])) for row in found[start : start + len(ROOMS)]}
     table[""] = table.pop("(public names)")
@@ -59,20 +59,20 @@ def test_the_rooms_are_those_that_are_checked():
 
 def test_the_options_shown_are_the_defaults():
     known = {}
-    (block,) = blocks((REPOSITORY / "docs/options.md").read_text(encoding="utf-8"), "python")
+    (block,) = blocks((REPOSITORY / "docs/reference/options.md").read_text(encoding="utf-8"), "python")
     exec(block, known)
     assert known["options"] == fgrecon.Options()
 
 
 def test_every_status_is_explained():
-    text = (REPOSITORY / "docs/result.md").read_text(encoding="utf-8")
+    text = (REPOSITORY / "docs/reference/result.md").read_text(encoding="utf-8")
     table = text.partition("## Status\n\n")[2].partition("\n\n")[0]  # others of the section tell what makes it so
     status = [row[0].strip("`") for row in rows(table)[2:]]
     assert status == [str(status) for status in fgrecon.Status]
 
 
 def test_every_field_of_the_result_table_exists():
-    text = (REPOSITORY / "docs/result.md").read_text(encoding="utf-8").partition("## Status")[0]
+    text = (REPOSITORY / "docs/reference/result.md").read_text(encoding="utf-8").partition("## Status")[0]
     groups = get_type_hints(fgrecon.Reconstruction)
     named, group = [], ""
     for line in text.splitlines():

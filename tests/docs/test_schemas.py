@@ -21,7 +21,7 @@ from tests.docs.pages import blocks
 from tests.solve.test_scene import street
 
 SCHEMAS = {path.name.partition(".")[0]: path for path in (REPOSITORY / "docs/schemas").glob("*.json")}
-EXAMPLE = blocks((REPOSITORY / "docs/formats.md").read_text(encoding="utf-8"), "json")[0]
+EXAMPLE = blocks((REPOSITORY / "docs/reference/formats.md").read_text(encoding="utf-8"), "json")[0]
 
 
 def check(schema, content):

@@ -167,6 +167,6 @@ def test_keypoints_below_the_least_confidence_are_not_measured():
 
 
 def test_the_documentation_has_every_status():
-    page = (Path(__file__).parents[2] / "docs" / "result.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs/reference/result.md").read_text(encoding="utf-8")
     section = page[page.index("## Status") : page.index("## Errors")]
     assert set(re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)) == {status.value for status in Status}

@@ -97,7 +97,7 @@ def _frames(track: Mapping[str, Any], path: Path) -> list[Record]:
         ]
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidInputError(
-            str(path), f"malformed: {error!r}", "Give a track as docs/formats.md has it."
+            str(path), f"malformed: {error!r}", "Give a track as docs/reference/formats.md has it."
         ) from error
 
 

@@ -12,7 +12,8 @@ is no confidence), the 2D box, a first guess of the azimuth, and the prior of 42
   shape must also take up the network's own idea of where a keypoint is.
 - **Robust loss.** Huber: there is no confidence to tell wrong keypoints by, and no gross ones among the visible.
 
-Two images cannot tell settings apart, and some were chosen on them; docs/method.md says how sensitive the result is.
+Two images cannot tell settings apart, and some were chosen on them; docs/explanation/method.md says how sensitive the
+result is.
 """
 
 from __future__ import annotations
