@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.frames import FrameSource
 from fgrecon.io.video import write_video
 from fgrecon.video.follow import TrackedFrame
+from fgrecon.video.frame_store import FrameStore
 from fgrecon.video.rows import motion_of
 from fgrecon.viz import DrawnVehicle, save_picture, scene_picture
 from fgrecon.viz.entities import SIZES
@@ -93,35 +94,32 @@ class Showing:
         )
 
 
-def film(path: Path, source: FrameSource, frames: Sequence[TrackedFrame], camera: Camera, advance: Advance) -> Path:
+def film(path: Path, source: FrameSource, frames: FrameStore, camera: Camera, advance: Advance) -> Path:
     """Write the annotated video, whole or not at all; frames that could not be used are left out.
 
     Raises:
         InvalidInputError: The file cannot be written.
     """
-    by_number = {frame.number: frame for frame in frames}
     showing = Showing()
-    passed = [b.time - a.time for a, b in pairwise(frames)]
+    passed = [b.time - a.time for a, b in pairwise(frames.heads)]
     rate = 1.0 / float(np.median(passed)) if passed and np.median(passed) > 0 else _RATE
     size: tuple[int, ...] | None = None
     with write_video(path, rate=rate) as add:
-        for done, picture in enumerate(source.read(), start=1):
-            advance("Filming", done, len(frames))
-            frame = by_number.get(picture.number)
-            if picture.image is None or frame is None or frame.problem is not None:
+        for frame, image in _with_images(source, frames, advance, "Filming"):
+            if image is None or frame.problem is not None:
                 continue
-            size = picture.image.shape if size is None else size
-            if picture.image.shape != size:  # videos may change it on their way
+            size = image.shape if size is None else size
+            if image.shape != size:  # videos may change it on their way
                 continue
             caption = f"frame {frame.number}, {frame.time:.2f} s"
-            add(annotated(picture.image, showing.vehicles(frame), camera, caption=caption), frame.time)
+            add(annotated(image, showing.vehicles(frame), camera, caption=caption), frame.time)
     return path
 
 
 def still(
     path: Path,
     source: FrameSource,
-    frames: Sequence[TrackedFrame],
+    frames: FrameStore,
     camera: Camera,
     ground: Ground | None,
     number: int | None,
@@ -143,7 +141,7 @@ def still(
         InvalidInputError: The file cannot be written.
     """
     if number is None and frames:
-        number = max(frames, key=lambda frame: (len(frame.estimates), len(frame.boxes))).number
+        number = max(frames.heads, key=lambda head: (len(head.found), len(head.identities))).number
     showing = Showing(beside_table=True)
     for frame in frames:
         vehicles = showing.vehicles(frame)
@@ -155,14 +153,22 @@ def still(
     return False
 
 
-def recorded(source: FrameSource, frames: Sequence[TrackedFrame], advance: Advance) -> Iterator[RecordedFrame]:
+def recorded(source: FrameSource, frames: FrameStore, advance: Advance) -> Iterator[RecordedFrame]:
     """The frames as they are recorded, read once more."""
-    by_number = {frame.number: frame for frame in frames}
     showing = Showing()
+    for frame, image in _with_images(source, frames, advance, "Recording"):
+        yield showing.frame(frame, image)
+
+
+def _with_images(
+    source: FrameSource, frames: FrameStore, advance: Advance, doing: str
+) -> Iterator[tuple[TrackedFrame, NDArray[np.uint8] | None]]:
+    """The frames with their images, which are read once more."""
+    index = {head.number: i for i, head in enumerate(frames.heads)}
     for done, picture in enumerate(source.read(), start=1):
-        advance("Recording", done, len(frames))
-        if (frame := by_number.get(picture.number)) is not None:
-            yield showing.frame(frame, picture.image)
+        advance(doing, done, len(frames))
+        if picture.number in index:
+            yield frames[index[picture.number]], picture.image
 
 
 def _values(estimate: VehicleEstimate) -> dict[str, tuple[float, ...]]:

@@ -106,7 +106,7 @@ def draw(job: VideoJob, run: VideoRun, picture: Path | None, screen: Screen) -> 
             write_text(request.out / _FILM, _film_stamp(job, request.video))
     if picture is None:
         return True
-    number, known = request.picture_frame, [frame.number for frame in run.frames]
+    number, known = request.picture_frame, [head.number for head in run.frames.heads]
     drawn = still(picture, job.source, run.frames, job.camera, job.settings.ground, number)
     if drawn:
         screen.wrote(picture)
@@ -136,8 +136,8 @@ def _text(path: Path) -> str | None:
 
 def table(run: VideoRun) -> Table:
     """How the estimates ended."""
-    found = Counter(e.reconstruction.status.value for frame in run.frames for e in frame.estimates.values())
-    refused = sum(len(frame.boxes) for frame in run.frames) - run.estimates
+    found = Counter(status.value for head in run.frames.heads for status in head.found.values())
+    refused = sum(len(head.identities) for head in run.frames.heads) - run.estimates
     result = compact_table("status", "boxes")
     for status, count in [*sorted(found.items()), *([("refused", refused)] if refused else [])]:
         result.add_row(status, str(count))
@@ -163,9 +163,9 @@ def details(run: VideoRun) -> list[str]:
 def document(job: VideoJob, run: VideoRun) -> str:
     """The JSON text about a run; the results are in its folder."""
     seen: dict[int, list[int]] = {}
-    for frame in run.frames:
-        for identity in frame.boxes:
-            seen.setdefault(identity, []).append(frame.number)
+    for head in run.frames.heads:
+        for identity in head.identities:
+            seen.setdefault(identity, []).append(head.number)
     camera = {"camera": camera_to_dict(job.camera), "estimate_motion": job.moving}
     content = {
         "format": FORMAT,

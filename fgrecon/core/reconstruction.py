@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.checks import as_either, as_instance
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.history import Alternative, GraphFactor, Iteration
+from fgrecon.core.lazy_fields import LazyFields
 from fgrecon.core.observation import Observation
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
 from fgrecon.core.repr import brief_repr
@@ -46,7 +47,7 @@ TRUSTED = 0.5
 
 
 @dataclass(frozen=True)
-class Pose:
+class Pose(LazyFields):
     """Where the vehicle is and which way it faces, in the camera's frame and in the image.
 
     Attributes:
@@ -78,7 +79,7 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class Shape:
+class Shape(LazyFields):
     """What the vehicle looks like, in its own frame, and the model that this is an instance of.
 
     Attributes:
@@ -104,8 +105,8 @@ class Shape:
     wireframe: NDArray[np.float64]
     box_size: NDArray[np.float64]
     edges: NDArray[np.int64]
-    surface_vertices: NDArray[np.float64] | None = None
-    surface_faces: NDArray[np.int64] | None = None
+    surface_vertices: NDArray[np.float64] | None = field(default_factory=lambda: None)
+    surface_faces: NDArray[np.int64] | None = field(default_factory=lambda: None)
     faces: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     symmetric_pairs: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
 
@@ -146,7 +147,7 @@ class Uncertainty:
 
 
 @dataclass(frozen=True)
-class Diagnostics:
+class Diagnostics(LazyFields):
     """How the result came about: what each keypoint counted, the energy, the steps and the time.
 
     Attributes:

@@ -9,7 +9,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -110,6 +110,17 @@ def check_folder(path: Path) -> None:
     there = next(part for part in (path, *behind_links(path).parents) if part.exists())
     if not there.is_dir():
         raise InvalidInputError("out", str(path), f"Give another folder: {there} is a file.")
+
+
+@contextmanager
+def text_file(path: str | Path) -> Iterator[Callable[[str], object]]:
+    """What adds to the text of a file, which is as of `write_text` when the context ends.
+
+    Raises:
+        InvalidInputError: As from `write_bytes`.
+    """
+    with replacing(path) as part, part.open("wb") as file:
+        yield lambda text: file.write(whole_text(text).encode())
 
 
 @contextmanager

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.camera import Camera
 from fgrecon.core.detection import calibrated_facing, pose_facing_probability
 from fgrecon.core.geometry import transform
 from fgrecon.core.history import Deferred
 from fgrecon.core.metrics import wrap_angle
+from fgrecon.core.observation import Observation
+from fgrecon.core.options import KeypointOptions
 from fgrecon.core.reconstruction import (
     Alternative,
     Diagnostics,
@@ -27,6 +31,7 @@ from fgrecon.core.reconstruction import (
     rotation_y,
 )
 from fgrecon.core.result_fields import Regions
+from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import LONGEST, SHORTEST
 from fgrecon.core.text import counted
 from fgrecon.solve.box_check import box_excess
@@ -216,9 +221,7 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
     problem, camera = end.part.problem, end.part.camera(end.optimum.values)
     prior, category = problem.model.prior, problem.model.prior.category
     (coefficients, offsets), camera_T_object, uncertainty = end.shape, end.pose, end.uncertainty
-    wireframe, surface = prior.keypoints(coefficients, offsets), occluder(prior)
-    vertices = surface.vertices(coefficients)
-    centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
+    wireframe = prior.keypoints(coefficients, offsets)
     box_size = category.box_size(wireframe)
     (status, message), facing = _status(end, box_size), end.facing
     if np.isnan(facing) and end.part.share == 1.0 and np.isfinite([*camera_T_object.flat, end.optimum.gain]).all():
@@ -239,17 +242,15 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
         if problem.model.size is not None and (larger := problem.model.size.larger):
             reasons = (*reasons, f"the shape of a {' or '.join(larger)} is a stretched {category.name}'s")
         excess = box_excess(problem, camera_T_object, coefficients, camera)
-    sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(problem.observation, problem.options.keypoints))))
-    with np.errstate(divide="ignore"):
-        sigmas = sigma / np.sqrt(end.weights)
     found = Reconstruction(
         status=status,
         message=message,
-        pose=Pose(
+        pose=Pose.with_later(
+            {"wireframe_uv": partial(_projected, camera, camera_T_object, wireframe)},
             camera_T_object=camera_T_object,
-            wireframe_uv=camera.distort(camera.project(transform(camera_T_object, wireframe))),
         ),
-        shape=Shape(
+        shape=Shape.with_later(
+            {} if prior.surface is None else _surface(prior.surface, coefficients),
             category=category.name,
             prior=prior.name,
             keypoint_names=category.keypoints,
@@ -258,8 +259,6 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
             wireframe=wireframe,
             edges=np.array(category.edges, dtype=np.int64).reshape(-1, 2),
             box_size=box_size,
-            surface_vertices=None if prior.surface is None else vertices,
-            surface_faces=None if prior.surface is None else surface.triangles,
             faces={face.name: face.keypoints for face in category.faces},
             symmetric_pairs=np.array(category.symmetric_pairs, dtype=np.int64).reshape(-1, 2),
         ),
@@ -272,10 +271,12 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
             size_covariance=None if uncertainty is None else uncertainty.size,
             regions=_regions(problem),
         ),
-        diagnostics=Diagnostics(
+        diagnostics=Diagnostics.with_later(
+            {
+                "sigmas": partial(_sigmas, problem.observation, problem.options.keypoints, end.weights),
+                "visibility": partial(_visibility, prior, camera_T_object, coefficients, wireframe),
+            },
             weights=end.weights,
-            sigmas=sigmas,
-            visibility=probability(clearance(vertices, surface.faces, wireframe, centre)),
             graph_iterations=end.optimum.iterations,
             graph_gain=end.optimum.gain,
             box_excess=excess,
@@ -284,6 +285,27 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
         ),
     )
     return weakened(found, reasons)
+
+
+def _surface(surface: Surface, coefficients: Array) -> dict[str, Callable[[], Any]]:
+    vertices = partial(surface.vertices, coefficients)
+    return {"surface_vertices": vertices, "surface_faces": partial(getattr, surface, "triangles")}
+
+
+def _projected(camera: Camera, camera_T_object: Array, points: Array) -> Array:
+    return camera.distort(camera.project(transform(camera_T_object, points)))
+
+
+def _sigmas(observation: Observation, options: KeypointOptions, weights: Array) -> Array:
+    sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(observation, options))))
+    with np.errstate(divide="ignore"):
+        sigmas: Array = sigma / np.sqrt(weights)
+    return sigmas
+
+
+def _visibility(prior: ShapePrior, camera_T_object: Array, coefficients: Array, wireframe: Array) -> Array:
+    surface, centre = occluder(prior), -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
+    return probability(clearance(surface.vertices(coefficients), surface.faces, wireframe, centre))
 
 
 def _regions(problem: Problem) -> Regions:

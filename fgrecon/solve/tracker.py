@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import Lock
 
@@ -23,6 +24,7 @@ from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.half_turn import flipped_alternative
+from fgrecon.core.history import Deferred
 from fgrecon.core.input_warnings import InputWarnings, warn_of
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options
@@ -251,17 +253,19 @@ class Tracker:
         return dict(zip(found, coupled, strict=True)), refused
 
     @single_threaded
-    def smooth(self) -> dict[int, list[VehicleEstimate]]:
-        """The estimates of all frames that are kept, by all of them; by id, in the order of time."""
-        with self._one_call:
-            return self._smooth()
+    def smooth(self) -> dict[int, Sequence[VehicleEstimate]]:
+        """The estimates of all frames that are kept, by all of them; by id, in the order of time.
 
-    def _smooth(self) -> dict[int, list[VehicleEstimate]]:
-        pasts = {name: [*track.vehicle.past] for name, track in self._tracks.items()}
+        Those of a vehicle are made when they are first looked at, by what was known when this was called.
+        """
+        with self._one_call:
+            tracks = dict(self._tracks)
+        pasts = {name: [*track.vehicle.past] for name, track in tracks.items()}
         for frames in pasts.values():
             frames[0] = replace(frames[0], step=None)
         coupled = beliefs_with_neighbours(pasts)
-        return {name: self._smoothed(name, track, coupled[name]) for name, track in self._tracks.items()}
+        smoothed = single_threaded(self._smoothed)
+        return {name: Deferred(partial(smoothed, name, track, coupled[name])) for name, track in tracks.items()}
 
     def boxes_off(self) -> float | None:
         """By how much 2D boxes are larger than their vehicles look, as a fraction; negative where smaller.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ FRAME_FORMAT = "fgrecon.video-frame/1"
 _UNKNOWN = -1.0
 
 
-def rows_of(frames: Sequence[TrackedFrame], *, flat: bool = True) -> list[dict[str, Any]]:
+def rows_of(frames: Iterable[TrackedFrame], *, flat: bool = True) -> list[dict[str, Any]]:
     """A row for each vehicle in each frame, in the order of frames and ids.
 
     Args:
@@ -73,7 +73,7 @@ def motion_of(estimate: VehicleEstimate) -> dict[str, float | None]:
     }
 
 
-def tracking_text(frames: Sequence[TrackedFrame], label_offset: Array | None = None) -> str:
+def tracking_text(frames: Iterable[TrackedFrame], label_offset: Array | None = None) -> str:
     """KITTI's tracking results.
 
     Args:
@@ -100,7 +100,7 @@ def _line(frame: TrackedFrame, identity: int, offset: Array) -> list[float]:
     return [_UNKNOWN, _UNKNOWN, alpha, *frame.boxes[identity], *size, *place, yaw, frame.scores[identity]]
 
 
-def frame_lines(frames: Sequence[TrackedFrame], ground: Ground | None = None) -> Iterator[str]:
+def frame_lines(frames: Iterable[TrackedFrame], ground: Ground | None = None) -> Iterator[str]:
     """A JSON line for each frame, those without a vehicle and those that could not be read included.
 
     Args:

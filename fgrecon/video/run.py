@@ -14,6 +14,7 @@ not look again.
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -28,8 +29,9 @@ from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
 from fgrecon.core.text import whole_text
 from fgrecon.io.frames import FrameSource, ImageFrames, SourceFrame
 from fgrecon.video.coverage import check_coverage, coverage_warnings, planned_frames
-from fgrecon.video.follow import Follower, TrackedFrame
+from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector
+from fgrecon.video.frame_store import FrameStore
 from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import (
     FORMAT,
@@ -61,7 +63,7 @@ class VideoRun:
         before: Frames that runs before this one had looked at.
         stopped: Whether it was stopped before its end.
         smoothed: Whether the estimates of a frame know what came after it.
-        frames: The frames so far.
+        frames: The frames so far, in a file: each is read when it is looked at.
         warnings: What is given by frame and is not of these frames.
     """
 
@@ -69,33 +71,29 @@ class VideoRun:
     before: int = 0
     stopped: bool = False
     smoothed: bool = False
-    frames: list[TrackedFrame] = field(default_factory=list)
+    frames: FrameStore = field(default_factory=FrameStore)
     warnings: list[str] = field(default_factory=list)
 
     @property
     def gaps(self) -> dict[str, str]:
         """Why frames could not be read, by their names."""
-        return {frame.name: frame.problem for frame in self.frames if frame.problem is not None}
+        return {head.name: head.problem for head in self.frames.heads if head.problem is not None}
 
     @property
     def tracks(self) -> dict[int, int]:
         """How many frames each vehicle was observed in."""
-        counts: dict[int, int] = {}
-        for frame in self.frames:
-            for identity in frame.boxes:
-                counts[identity] = counts.get(identity, 0) + 1
-        return counts
+        return dict(Counter(identity for head in self.frames.heads for identity in head.identities))
 
     @property
     def way(self) -> float | None:
         """How far the camera went, metres; None where nothing tells."""
-        places = [frame.world_T_camera[:3, 3] for frame in self.frames if frame.world_T_camera is not None]
+        places = [head.place for head in self.frames.heads if head.place is not None]
         return float(sum(np.linalg.norm(b - a) for a, b in pairwise(places))) if len(places) > 1 else None
 
     @property
     def estimates(self) -> int:
         """How many estimates there are."""
-        return sum(len(frame.estimates) for frame in self.frames)
+        return sum(len(head.found) for head in self.frames.heads)
 
     def smooth(self, follower: Follower) -> None:
         """Put the smoother's estimates in the place of the first ones, as far back as it goes.
@@ -103,12 +101,14 @@ class VideoRun:
         Args:
             follower: What has followed the vehicles.
         """
-        every = follower.tracker.smooth().items()
-        smoothed = {(i, one.time): follower.over_world(one) for i, known in every for one in known}
-        self.frames = [
-            replace(frame, estimates={i: smoothed.get((i, frame.time), first) for i, first in frame.estimates.items()})
-            for frame in self.frames
-        ]
+        index = {head.time: i for i, head in enumerate(self.frames.heads) if head.found}
+        smoothed = dict(follower.tracker.smooth())
+        while smoothed:  # and no vehicle's are kept
+            identity, estimates = smoothed.popitem()
+            for one in estimates:
+                i = index.get(one.time)
+                if i is not None and identity in self.frames.heads[i].found:
+                    self.frames.put(i, identity, follower.over_world(one))
         self.smoothed = True
 
 
@@ -155,7 +155,7 @@ def run_video(
     if any(given):
         check_coverage(planned_frames(source) or (), *given)
     begin(out / RECORDS, settings, FORMAT)
-    run = VideoRun(source.count)
+    run = VideoRun(source.count, frames=FrameStore(folder=out))
     with claimed(out / RECORDS), short_turns(ahead):
         looked = _Records(source, out, look, motion, settings, ahead)
         run.before = len(looked.stored)
@@ -168,7 +168,7 @@ def run_video(
         finally:
             looked.close()
     if not run.stopped:
-        frames = [(frame.number, frame.time) for frame in run.frames]
+        frames = [(head.number, head.time) for head in run.frames.heads]
         check_coverage(frames, *given)
         run.warnings = coverage_warnings(frames, source, *given)
         for line in run.warnings:

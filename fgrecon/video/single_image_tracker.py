@@ -71,6 +71,10 @@ class SingleImageTracker:
         self.refused = refused
         return estimates
 
+    def forget(self, vehicle: int) -> None:
+        """Let go of a vehicle's estimates; one that is not there is none to let go of."""
+        self._tracks.pop(vehicle, None)
+
     def smooth(self) -> Mapping[int, Sequence[VehicleEstimate]]:
         """The same estimates once more."""
         return self._tracks

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -25,8 +25,8 @@ from fgrecon.core.input_warnings import InputWarnings, camera_warning_of, input_
 from fgrecon.core.text import counted
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.datasets import is_data_set, open_video
-from fgrecon.io.export.formats import export_rows
-from fgrecon.io.files import check_folder, write_text
+from fgrecon.io.export.formats import table_file
+from fgrecon.io.files import check_folder, text_file
 from fgrecon.io.frames import (
     DEFAULT_RATE,
     FrameSource,
@@ -359,7 +359,7 @@ def track_video(
     arguments = job.settings.arguments()
     ground = arguments.pop("ground")
     tracker = SingleImageTracker(**arguments) if request.alone else Tracker(**arguments, shared_ground=request.together)
-    forget = tracker.forget if request.online and isinstance(tracker, Tracker) else None  # nothing smooths their past
+    forget = tracker.forget if request.online or request.alone else None  # nothing smooths their past
     ids: dict[str, Any] = {} if given is None else {"settings": given.association, "first": given.largest_id + 1}
     follower = Follower(
         *(tracker, GatedAssociation(**ids, given_up=forget), job.camera),
@@ -436,11 +436,16 @@ def write_tracks(job: VideoJob, run: VideoRun) -> None:
     Raises:
         InvalidInputError: A file cannot be written.
     """
-    out = job.request.out
-    write_text(out / "tracks.txt", tracking_text(run.frames, job.label_offset))
-    write_text(out / "frames.jsonl", "".join(frame_lines(run.frames, job.settings.ground)))
-    for name, flat in (("tracks.csv", True), ("tracks.parquet", False)):
-        if rows := rows_of(run.frames, flat=flat):
-            export_rows(out / name, rows)
-        else:  # there are no columns without a row, and a table of the run before would be taken for this one's
-            (out / name).unlink(missing_ok=True)
+    out, ground = job.request.out, job.settings.ground
+    names = [out / "tracks.csv", out / "tracks.parquet"]
+    with ExitStack() as files:
+        tracks, lines = (files.enter_context(text_file(out / name)) for name in ("tracks.txt", "frames.jsonl"))
+        tables = [files.enter_context(table_file(name)) for name in names if run.estimates]
+        for frame in run.frames:
+            tracks(tracking_text([frame], job.label_offset))
+            lines("".join(frame_lines([frame], ground)))
+            for add, flat in zip(tables, (True, False), strict=False):
+                add(rows_of([frame], flat=flat))
+    if not run.estimates:  # no columns without a row, and a table of the run before would be taken for this one's
+        for name in names:
+            name.unlink(missing_ok=True)

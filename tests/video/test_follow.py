@@ -14,6 +14,7 @@ from fgrecon.simulation import KITTI_CAMERA
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video import Follower, GatedAssociation, SingleImageTracker, VideoRun
 from fgrecon.video.egomotion import CameraMotion
+from fgrecon.video.frame_store import FrameStore
 from fgrecon.video.records import FrameRecord, Sighting
 from fgrecon.video.rows import frame_lines, rows_of, tracking_text
 from tests.video.streets import simulated
@@ -143,7 +144,7 @@ def test_speeds_are_of_the_world_or_there_are_none():
         follow = Follower(Tracker(), GatedAssociation(), KITTI_CAMERA, poses=poses, ground=Ground.level(1.65))
         frames = [follow(record(n, Sighting(one.box, 1.0, 1, one))) for n, one in enumerate(first)]
         assert [frame.estimates[1].velocity is not None for frame in frames] == moving
-        run = VideoRun(8, frames=frames)
+        run = VideoRun(8, frames=FrameStore(frames))
         run.smooth(follow)
         for frame in run.frames:  # that between frames with and without a pose knows of neither kind
             known = poses is None or frame.number < 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from fgrecon.io.export.mesh import glb_bytes, ply_bytes
 from fgrecon.io.export.openlabel import openlabel_text
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.export.submissions import argoverse2_bytes, cityscapes3d_text, nuscenes_text, nuscenes_tracking_text
-from fgrecon.io.export.table import csv_of_rows, csv_text, parquet_bytes, parquet_of_rows
+from fgrecon.io.export.table import AddRows, csv_file, csv_text, parquet_bytes, parquet_file
 from fgrecon.io.files import check_ending, write_bytes
 
 Images = Mapping[str, ImageInfo]
@@ -58,10 +59,7 @@ _OF_FRAMES = frozenset(["tum", "kitti_poses"])
 FORMATS = tuple(_ENDINGS)
 """The endings of their names."""
 
-_TABLES: dict[str, Callable[[Sequence[Mapping[str, Any]]], bytes]] = {
-    "csv": lambda rows: csv_of_rows(rows).encode(),
-    "parquet": parquet_of_rows,
-}
+_TABLES: dict[str, Callable[[Path], AbstractContextManager[AddRows]]] = {"csv": csv_file, "parquet": parquet_file}
 
 TABLE_FORMATS = tuple(_TABLES)
 """Those of them that are tables, which `export_rows` writes."""
@@ -120,7 +118,17 @@ def export_rows(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:
     Raises:
         InvalidInputError: Another ending, the file cannot be written, or there is no row.
     """
-    kind = check_ending(path, TABLE_FORMATS)
-    if not rows:
-        raise InvalidInputError("rows", "none", "Give at least one.")
-    return write_bytes(path, _TABLES[kind](rows))
+    with table_file(path) as add:
+        if not rows:
+            raise InvalidInputError("rows", "none", "Give at least one.")
+        add(rows)
+    return Path(path)
+
+
+def table_file(path: str | Path) -> AbstractContextManager[AddRows]:
+    """What adds rows to such a table, one at least; it is there when the context ends.
+
+    Raises:
+        InvalidInputError: Another ending, or the file cannot be written.
+    """
+    return _TABLES[check_ending(path, TABLE_FORMATS)](Path(path))

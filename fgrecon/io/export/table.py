@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.serialise import as_arrow
 from fgrecon.core.text import whole_text
 from fgrecon.io.export.results import NamedResult
+from fgrecon.io.files import replacing
+
+AddRows = Callable[[Sequence[Mapping[str, Any]]], None]
+
+_ROWS = 500
+"""Rows of Python's objects that wait to become columns."""
 
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r")
 
@@ -30,14 +39,14 @@ def csv_text(results: Sequence[NamedResult]) -> str:
     return csv_of_rows(rows)
 
 
-def csv_of_rows(rows: Sequence[Mapping[str, Any]]) -> str:
+def csv_of_rows(rows: Sequence[Mapping[str, Any]], *, header: bool = True) -> str:
     """Comma-separated values of rows, of which there is one at least and which have the same columns.
 
     A text that a spreadsheet would take for a formula has an apostrophe in front.
     """
     names = list(rows[0])
-    lines = [_line(names), *(_line([_harmless(row[name]) for name in names]) for row in rows)]
-    return whole_text("".join(lines))  # names of files need not be UTF-8
+    lines = [_line([_harmless(row[name]) for name in names]) for row in rows]
+    return whole_text("".join([_line(names), *lines] if header else lines))  # names of files need not be UTF-8
 
 
 def _line(cells: Sequence[Any]) -> str:
@@ -59,13 +68,43 @@ def parquet_bytes(results: Sequence[NamedResult]) -> bytes:
     translation (largest axis, metres), empty where not determined. Lists: camera_T_object (16), coefficients, keypoint
     names, wireframe (3 per keypoint), wireframe_uv (2 per keypoint), weights, visibility.
     """
-    return parquet_of_rows([item.result.to_row(item.name, flat=False) for item in results])
-
-
-def parquet_of_rows(rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """Parquet of rows with the same columns."""
     import pyarrow.parquet as pq
 
     sink = io.BytesIO()
-    pq.write_table(as_arrow(rows), sink)
+    pq.write_table(as_arrow([item.result.to_row(item.name, flat=False) for item in results]), sink)
     return sink.getvalue()
+
+
+@contextmanager
+def csv_file(path: Path) -> Iterator[AddRows]:
+    """What adds rows to comma-separated values; there must be one in the end."""
+    with replacing(path) as part, part.open("wb") as file:
+
+        def add(rows: Sequence[Mapping[str, Any]]) -> None:
+            if rows:
+                file.write(csv_of_rows(rows, header=not file.tell()).encode())
+
+        yield add
+
+
+@contextmanager
+def parquet_file(path: Path) -> Iterator[AddRows]:
+    """What adds rows to Parquet; there must be one in the end. Kept as columns, which take little room, until then."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with replacing(path) as part:
+        tables: list[Any] = []
+        waiting: list[Mapping[str, Any]] = []
+
+        def add(rows: Sequence[Mapping[str, Any]], most: int = _ROWS) -> None:
+            waiting.extend(rows)
+            if len(waiting) > most:
+                tables.append(as_arrow(waiting))
+                waiting.clear()
+
+        yield add
+        add((), most=0)
+        with pa.OSFile(os.fsencode(part), "wb") as sink:
+            # A column may have no value in the first of them, and numbers without a fraction there.
+            pq.write_table(pa.concat_tables(tables, promote_options="permissive"), sink)

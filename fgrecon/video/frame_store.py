@@ -1,0 +1,166 @@
+"""The frames of a run, kept in a file: of a long video memory holds only what tells of each frame in a line.
+
+The file has no name and is gone with the run, whatever ends it.
+"""
+
+from __future__ import annotations
+
+import io
+import pickle
+import tempfile
+import weakref
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.lazy_fields import LazyFields
+from fgrecon.core.result_fields import Status
+from fgrecon.core.shape_prior import ShapePrior, Surface
+from fgrecon.core.vehicle_estimate import VehicleEstimate
+from fgrecon.video.follow import TrackedFrame
+
+_SHARED = (Camera, ShapePrior, Surface)
+"""What results of a run have in common."""
+
+
+@dataclass
+class FrameHead:
+    """What memory holds of a frame.
+
+    Attributes:
+        number: Of the frame, within its source.
+        time: Seconds.
+        name: Of the frame.
+        problem: Why it could not be read, or None.
+        place: (3,) of the camera in the world; None where it is not known.
+        identities: The vehicles that were detected in it.
+        found: How the estimate of each ended, by id.
+    """
+
+    number: int
+    time: float
+    name: str
+    problem: str | None
+    place: NDArray[np.float64] | None
+    identities: tuple[int, ...]
+    found: dict[int, Status] = field(default_factory=dict)
+
+
+class FrameStore(Sequence[TrackedFrame]):
+    """Frames in order; each is read from the file when it is looked at, and a change to it changes nothing here.
+
+    Attributes:
+        heads: What memory holds of each.
+    """
+
+    def __init__(self, frames: Iterable[TrackedFrame] = (), *, folder: Path | None = None) -> None:
+        """Keep some frames.
+
+        Args:
+            frames: The frames.
+            folder: Where the file is, which has no name; None for where temporary files are.
+        """
+        self.heads: list[FrameHead] = []
+        self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  # closed with the store
+        weakref.finalize(self, self._file.close)
+        self._places: list[tuple[int, dict[int, int]]] = []  # in the file: of a frame, and of its estimates by id
+        self._shared: dict[int, Any] = {}
+        self._last: TrackedFrame | None = None
+        for frame in frames:
+            self.append(frame)
+
+    def append(self, frame: TrackedFrame) -> None:
+        """Add a frame."""
+        pose = frame.world_T_camera
+        place = None if pose is None else pose[:3, 3].copy()
+        head = FrameHead(frame.number, frame.time, frame.name, frame.problem, place, tuple(frame.boxes))
+        self.heads.append(head)
+        self._places.append((self._write(replace(frame, estimates={})), {}))
+        for identity, estimate in frame.estimates.items():
+            self._keep(len(self) - 1, identity, estimate)
+        self._last = frame
+
+    def put(self, index: int, identity: int, estimate: VehicleEstimate) -> None:
+        """Let an estimate take the place of a frame's estimate of the same vehicle."""
+        self._keep(index, identity, estimate)
+        self._last = None
+
+    def _keep(self, index: int, identity: int, estimate: VehicleEstimate) -> None:
+        self._places[index][1][identity] = self._write(estimate)
+        self.heads[index].found[identity] = estimate.reconstruction.status
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.heads)
+
+    @overload
+    def __getitem__(self, index: int) -> TrackedFrame: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[TrackedFrame]: ...
+
+    def __getitem__(self, index: int | slice) -> TrackedFrame | list[TrackedFrame]:
+        """A frame, or a list of some."""
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        if self._last is not None and index in (-1, len(self) - 1):
+            return self._last
+        place, estimates = self._places[index]
+        frame: TrackedFrame = self._read(place)
+        return replace(frame, estimates={identity: self._read(place) for identity, place in estimates.items()})
+
+    def __iter__(self) -> Iterator[TrackedFrame]:
+        """Over the frames."""
+        return (self[i] for i in range(len(self)))
+
+    def _write(self, value: Any) -> int:
+        """Where it is in the file.
+
+        Raises:
+            InvalidInputError: There is no room for it.
+        """
+        content = io.BytesIO()
+        _Pickler(content, self._shared).dump(value)
+        place = self._file.seek(0, io.SEEK_END)
+        try:
+            self._file.write(content.getbuffer())
+            self._file.flush()
+        except OSError as error:
+            raise InvalidInputError("out", error.strerror, "Make room, or give another folder.") from error
+        return place
+
+    def _read(self, place: int) -> Any:
+        self._file.seek(place)
+        return _Unpickler(self._file, self._shared).load()
+
+
+class _Pickler(pickle.Pickler):
+    """Pickles results without what they share, and without what is made from it when it is looked at."""
+
+    def __init__(self, file: io.BytesIO, shared: dict[int, Any]) -> None:
+        super().__init__(file, pickle.HIGHEST_PROTOCOL)
+        self._shared = shared
+
+    def persistent_id(self, value: Any) -> int | None:
+        if not isinstance(value, _SHARED):
+            return None
+        self._shared[id(value)] = value  # and so no other has that id
+        return id(value)
+
+    def reducer_override(self, value: Any) -> Any:
+        return (object.__new__, (type(value),), vars(value)) if isinstance(value, LazyFields) else NotImplemented
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, file: Any, shared: dict[int, Any]) -> None:
+        super().__init__(file)
+        self._shared = shared
+
+    def persistent_load(self, pid: int) -> Any:
+        return self._shared[pid]

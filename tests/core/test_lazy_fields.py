@@ -1,0 +1,49 @@
+"""Fields that are made when they are first read."""
+
+import pickle
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import pytest
+
+from fgrecon.core.lazy_fields import LazyFields
+
+made = []
+
+
+def make(what):
+    made.append(what)
+    return what
+
+
+@dataclass(frozen=True)
+class Thing(LazyFields):
+    known: int
+    later: str
+    other: str | None = field(default_factory=lambda: None)
+
+
+def test_a_field_is_made_once_and_only_where_it_is_read():
+    made.clear()
+    thing = Thing.with_later({"later": partial(make, "a"), "other": partial(make, "b")}, known=1)
+    assert (thing.known, made) == (1, [])
+    assert thing.not_made.keys() == {"later", "other"}
+    assert (thing.later, thing.later, made) == ("a", "a", ["a"])
+    assert thing.not_made.keys() == {"other"}
+    assert thing == Thing(1, "a", "b")
+    assert made == ["a", "b"]
+
+
+def test_copies_and_pickles_have_all_fields():
+    made.clear()
+    thing = Thing.with_later({"later": partial(make, "a")}, known=1)
+    assert replace(thing, known=2) == Thing(2, "a")
+    again = pickle.loads(pickle.dumps(Thing.with_later({"later": partial(make, "c")}, known=1)))
+    assert again == Thing(1, "c")
+    assert not again.not_made
+    assert made == ["a", "c"]
+
+
+def test_other_names_are_errors():
+    with pytest.raises(AttributeError, match="'Thing' object has no attribute 'lter'"):
+        Thing(1, "a").lter  # noqa: B018  # its error is wanted
