@@ -66,7 +66,7 @@ class BoxOptions:
         sigma_pixels: The same in pixels, added in quadrature.
         left: By how much the left edge of a `detected` box lies further right than the outline's, as a fraction of its
             width. The defaults are those of the package's detector on KITTI's video; what `fgrecon calibrate --detect`
-            finds there is as good (docs/history/index.md).
+            finds there is as good (docs/history/solver.md).
         upper: By how much its upper edge lies lower, as a fraction of its height.
         right: The right edge, as the left one.
         lower: The lower edge, as the upper one.

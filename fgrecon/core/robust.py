@@ -15,7 +15,7 @@ The strategies:
   w(t+1) = mu1 w(t) + (1 - mu1) [mu2 s(t) + (1 - mu2) w_vis(t)]. The paper prints the reprojection error e_i(t),
   normalised over the instances, in the place of s, which would raise the weight of the worst point. Its text says that
   "weights assigned to incorrectly estimated keypoints get reduced every iteration", so s = exp(-e_i / mean_j e_j).
-  `paper_literal` is the printed form, e_i / max_j e_j (docs/explanation/method.md compares these and other readings).
+  `paper_literal` is the printed form, e_i / max_j e_j (docs/history/solver.md compares these and other readings).
 - `huber`, `cauchy`, `geman_mcclure`, `tukey`: the m-estimator's weight times the weight of Eq. (4).
 - `gnc`: graduated non-convexity with the Geman-McClure loss (Yang et al., RA-L 2020): its control parameter falls
   geometrically to 1 over the updates.

@@ -186,7 +186,7 @@ SIZE_PRIORS = {
         np.array([0.44, 0.11, 0.14]),
         np.array([[0.368, 0.055, 0.098], [0.055, 0.020, 0.022], [0.098, 0.022, 0.062]]),
         # Chosen on KITTI's video: what keypoints say of a car's height is what puts it nearer or farther. With half the
-        # spread cars are 5 % less off on average (docs/history/index.md).
+        # spread cars are 5 % less off on average (docs/history/size.md).
         np.array([0.44, 0.11, 0.07]),
     ),
     "apollo79": SizePrior("apollo79", np.array([4.57, 1.80, 1.59]), np.array([0.39, 0.09, 0.15])),

@@ -1,7 +1,7 @@
 """What the nearer vehicles of an image hide of the others.
 
 It is in the results and is no evidence: a network that has learnt from traffic places hidden keypoints about as
-well as it says, and without them poses were no better (docs/history/index.md).
+well as it says, and without them poses were no better (docs/history/size.md).
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from tests.docs.pages import commands, fenced
 GUIDES = [
     REPOSITORY / "README.md",
     REPOSITORY / "docs/index.md",
+    REPOSITORY / "docs/tutorial/index.md",
     *sorted((REPOSITORY / "docs/how-to").glob("*.md")),
 ]
 NEEDS_MORE = {
