@@ -31,7 +31,7 @@ def task_schema() -> Any:
 
 
 def result_schema() -> Any:
-    """The columns of results (`docs/reference/batch-table.md` says what is in them), with the format in the metadata."""
+    """The columns of results (docs/reference/batch-table.md says what is in them), with the format in the metadata."""
     fields = [
         *((name, _TEXT) for name in ("row_id", "source")),
         ("frame", pa.int64()),
