@@ -13,8 +13,8 @@ from fgrecon.cli.terminal import Verbosity
 from fgrecon.core.text import counted
 
 _FORMATS = (
-    "nuscenes, nuscenes_tracking, coco, cityscapes3d or openlabel for .json; foxglove or vision_msgs for .mcap; kitti, "
-    "tum or kitti_poses for .txt."
+    "nuscenes, nuscenes_tracking, coco, cityscapes3d or openlabel for .json; foxglove, vision_msgs or ros2 for .mcap; "
+    "kitti, tum or kitti_poses for .txt."
 )
 
 
@@ -41,8 +41,9 @@ class ExportOptions:
     images: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.json|DATASET",
-            help="Tokens, ids, times and camera poses of the images (see File formats), or their data set.",
+            metavar="FILE.json|DATASET|BAG",
+            help="Tokens, ids, times and camera poses of the images (see File formats), or their data set; or their "
+            "bag, of which ros2 makes a copy.",
         ),
     ] = None
     prior: Annotated[
@@ -77,12 +78,15 @@ def export_command(
     PLY and GLB: surfaces and wireframes in the camera frame. CSV and Parquet: one row per vehicle. TXT: KITTI's result
     lines of one image, in the frame of KITTI's labels where the results know it; or the camera's path (TUM, KITTI).
     JSON: nuScenes' detections or tracks, COCO's keypoints with cuboids, Cityscapes' 3D boxes, or OpenLABEL. FEATHER:
-    Argoverse 2's detections. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray, under an upright frame `map`.
+    Argoverse 2's detections. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray, under an upright frame `map`; or
+    with rviz's markers and Foxglove's scenes in a copy of the bag that a run was on (ros2).
     --verbose names the vehicles.
 
     Of a video's run JSON, FEATHER, MCAP and the camera's path are made; its folder has tables already.
     """
+    from fgrecon.io.bag import is_bag
     from fgrecon.io.export import export, read_images_file, read_results, read_video_frames
+    from fgrecon.io.export.bag_copy import export_into_bag
     from fgrecon.io.export.formats import check_format
     from fgrecon.io.export.video_frames import check_video_format, frames_file
     from fgrecon.io.files import check_output
@@ -99,7 +103,10 @@ def export_command(
         found = read_folder(results, options.prior)
     else:
         found = read_results(results, options.prior)
-    export(out, found, options.kind, images_known)
+    if options.kind == "ros2" and options.images is not None and is_bag(options.images):
+        export_into_bag(out, found, images_known or {}, options.images)
+    else:
+        export(out, found, options.kind, images_known)
     screen = terminal.screen()
     for vehicle in found:
         screen.detail(f"{vehicle.name}: {vehicle.result.status.value}")

@@ -49,7 +49,12 @@ class MotionOptions:
     """How the camera moves."""
 
     poses: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Poses of the camera: KITTI, TUM, or JSON with matrices.")
+        Path | None,
+        typer.Option(
+            metavar="FILE|TOPIC",
+            help="Poses of the camera: KITTI, TUM, or JSON with matrices; of a bag odometry, or a frame of TF.",
+            show_default="those of a data set or bag",
+        ),
     ] = None
     estimate_motion: Annotated[
         bool | None,
@@ -140,7 +145,7 @@ class RunOptions:
             **vars(self.frames),
             **vars(self.motion),
             **{name: value for name, value in vars(self.vehicles).items() if name != "scale_to_image"},
-            sensors=self.sensors.source(self.camera.source()),
+            sensors=self.sensors.of_video(source, self.camera.source()),
             video=self.drawn.video,
             picture_frame=self.drawn.picture_frame,
         )
@@ -150,9 +155,9 @@ def run_command(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="VIDEO|FOLDER|PATTERN|DATASET|KEYPOINTS",
-            help="A video; images: their folder, or a pattern; FOLDER#SEQUENCE/CAMERA of a data set; or keypoints "
-            "alone (json).",
+            metavar="VIDEO|FOLDER|PATTERN|DATASET|BAG|KEYPOINTS",
+            help="A video; images: their folder, or a pattern; FOLDER#SEQUENCE/CAMERA of a data set; BAG#TOPIC of ROS "
+            "2 (.mcap, .db3); or keypoints alone (json).",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="For the results; made where it does not exist.")],

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from glob import glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from fgrecon.io.bag_drive import LidarTopic
     from fgrecon.io.cameras.camera_source import CameraSource
     from fgrecon.perception.sensor_source import SensorSource
 
@@ -24,7 +26,8 @@ class SensorOptions:
         str | None,
         typer.Option(
             metavar=_FILES,
-            help="Points of a LiDAR: KITTI's or nuScenes' bin, npz, npy, pcd, ply, las; named as the images.",
+            help="Points of a LiDAR: KITTI's or nuScenes' bin, npz, npy, pcd, ply, las; named as the images. Of a bag "
+            "its topic.",
             rich_help_panel=_SENSORS,
         ),
     ] = None
@@ -33,7 +36,7 @@ class SensorOptions:
         typer.Option(
             metavar="FILE",
             help="From the points' frame to the camera's: 12 numbers [R | t], or JSON with a matrix.",
-            show_default="by KITTI's calibration or nuScenes' tables",
+            show_default="by KITTI's calibration, nuScenes' tables or the bag's TF",
             rich_help_panel=_SENSORS,
         ),
     ] = None
@@ -48,3 +51,17 @@ class SensorOptions:
 
         made = SensorSource(self.lidar, self.lidar_pose, camera)
         return made if made.given else None
+
+    def of_video(self, video: str, camera: CameraSource) -> SensorSource | LidarTopic | None:
+        """The same of a video: beside a bag what is no path is its topic.
+
+        Raises:
+            InvalidInputError: As `source`.
+        """
+        from fgrecon.io.bag import is_bag
+        from fgrecon.io.bag_drive import LidarTopic
+
+        files = self.lidar is not None and any(glob(self.lidar))  # noqa: PTH207 - the pattern may be absolute
+        if self.lidar is None or files or not is_bag(video):
+            return self.source(camera)
+        return LidarTopic(self.lidar, self.lidar_pose)

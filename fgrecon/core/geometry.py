@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from factors.projection import cross, pixel_jacobian
 
 __all__ = [
+    "AHEAD",
     "FORWARD_LEFT_UP",
     "MIRROR",
     "box_around",
@@ -30,6 +31,9 @@ MIRROR = np.array([1.0, 1.0, -1.0])
 
 FORWARD_LEFT_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """From axes x forward, y left, z up, as robots and most data sets have them, to the object frame."""
+
+AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""From a camera's axes right, down, forward to axes forward, left, up."""
 
 
 def exponential(rotation: Array) -> Array:

@@ -3,6 +3,7 @@
 | input | number of a frame | its time, seconds |
 |---|---|---|
 | a video | its place, from 0 | the container's |
+| a bag's topic | its message, from 0 | the header's (`fgrecon.io.bag_drive`) |
 | images | by their names (`fgrecon.io.frame_names`) | by their names, else number / frames per second |
 
 Numbers may be missing: time goes on there. Images are of one camera, and so of one size: that of the first that can be
@@ -19,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.bag_frames import BagFrames
 from fgrecon.io.frame_names import DEFAULT_RATE, OrderedImages, distinct_names, frames_by_name, times_of
 from fgrecon.io.images import IMAGES, read_image
 from fgrecon.io.source_frames import Choice, SourceFrame, sized
@@ -127,7 +129,7 @@ class NumberedFrames:
                 yield SourceFrame(number, time, f"{self.path.name}#{number}", None)
 
 
-FrameSource = ImageFrames | VideoFrames | NumberedFrames
+FrameSource = ImageFrames | VideoFrames | NumberedFrames | BagFrames
 """Frames, whatever they are made of."""
 
 

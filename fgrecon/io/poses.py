@@ -109,6 +109,19 @@ def read_poses(path: Path) -> CameraPoses:
     return CameraPoses(by_frame, tuple(times), tuple(timed[time] for time in times))
 
 
+def read_pose(path: Path) -> Array:
+    """(4, 4) the one motion of a file, of a LiDAR to its camera: 12 numbers [R | t], or JSON with a list of a matrix.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or has another number of motions.
+    """
+    poses = read_poses(path)
+    if list(poses.by_frame) != [0]:
+        fix = "Give one motion from the LiDAR's frame to the camera's: twelve numbers [R | t], or JSON with a matrix."
+        raise InvalidInputError("lidar_pose", str(path), fix)
+    return poses.by_frame[0]
+
+
 def _of_json(path: Path) -> CameraPoses:
     data = read_json(path)
     items: Any = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else ()

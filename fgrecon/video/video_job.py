@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,8 @@ from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.input_warnings import InputWarnings, camera_warning_of, input_warning_of, summed_up
 from fgrecon.core.text import counted
+from fgrecon.io.bag import is_bag
+from fgrecon.io.bag_drive import BagDrive, LidarTopic, open_bag_drive
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.datasets import is_data_set, open_video
 from fgrecon.io.export.formats import table_file
@@ -43,6 +45,7 @@ from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.kitti_drives import Drive
 from fgrecon.io.poses import CameraPoses, read_poses
 from fgrecon.io.run_settings import RunSettings, content_hash
+from fgrecon.io.source_frames import Choice
 from fgrecon.io.video import check_video
 from fgrecon.io.video_frames import packet_times
 from fgrecon.perception.keypoints.detect import KeypointCascade
@@ -72,8 +75,8 @@ class VideoRequest:
     """What is requested of a video.
 
     Attributes:
-        source: A video; images: their folder, or a pattern; a camera of a data set (`fgrecon.io.datasets`); or a
-            file of keypoints alone (json).
+        source: A video; images: their folder, or a pattern; a camera of a data set (`fgrecon.io.datasets`); a topic of
+            a bag (`fgrecon.io.bag_drive`); or a file of keypoints alone (json).
         out: Folder of the results.
         settings: What holds for every vehicle.
         camera: The given camera.
@@ -81,7 +84,7 @@ class VideoRequest:
         every: Every so many frames.
         start: Seconds after the first frame before which none is taken.
         end: Seconds after the first frame from which on none is taken, or None.
-        poses: File of the camera's poses, or None.
+        poses: File of the camera's poses; of a bag a topic of odometry, or a frame of TF; or None.
         estimate_motion: Whether the camera's motion is estimated; None where that makes results better.
         tracks: File of vehicles detected by others, or None.
         forget_ids: Whether those are given ids anew.
@@ -93,7 +96,7 @@ class VideoRequest:
         together: Whether the vehicles of an image share its ground.
         video: Annotated video that is to be written afterwards, or None.
         picture_frame: Frame that is to be drawn afterwards, or None.
-        sensors: Other sensors' files, or None.
+        sensors: Other sensors' files; of a bag its LiDAR; or None.
     """
 
     source: str
@@ -116,7 +119,7 @@ class VideoRequest:
     together: bool = True
     video: Path | None = None
     picture_frame: int | None = None
-    sensors: SensorSource | None = None
+    sensors: SensorSource | LidarTopic | None = None
 
 
 @dataclass(frozen=True)
@@ -132,6 +135,7 @@ class VideoJob:
         given: Vehicles detected by others, or None.
         poses: Of the camera, or None.
         moving: Whether the camera's motion is estimated.
+        sense: What other sensors say of a frame; None where there are none.
     """
 
     request: VideoRequest
@@ -142,6 +146,7 @@ class VideoJob:
     given: Given | None
     poses: CameraPoses | None
     moving: bool
+    sense: Callable[[FrameRecord], Sequence[Evidence]] | None = None
 
     @cached_property
     def records_depend_on(self) -> dict[str, Any]:
@@ -185,10 +190,9 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
     if ground is not None and ground.is_vague:
         fix = "Give the plane, NX,NY,NZ,D, or leave it out: vehicles are told apart by where they stand."
         raise InvalidInputError("ground", ground.distance, fix)
-    drive = open_video(request.source) if is_data_set(request.source) else None
+    drive = _open_drive(request)
     source, given = _open_source(request, drive)
-    if request.sensors is not None and isinstance(source, ImageFrames):
-        request.sensors.check(path.name for path in source.paths)
+    sense = _sense(request, source, drive)
     if source.assumed_rate:
         warn(
             f"No frame rate (`fps`, --fps) is given: {DEFAULT_RATE:g} frames per second are assumed; speeds go with it."
@@ -207,7 +211,24 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
     camera, offset = _camera(request, source, given, drive, settings, warn)
     if given is not None:
         given = given.fitted(camera.image_size, scale=request.camera.scale_to_image)
-    return VideoJob(request, source, camera, offset, settings, given, poses, moving)
+    for line in drive.warnings if isinstance(drive, BagDrive) else ():
+        warn(line)
+    return VideoJob(request, source, camera, offset, settings, given, poses, moving, sense)
+
+
+def _open_drive(request: VideoRequest) -> Drive | BagDrive | None:
+    """The data set or bag that the source is; None of others.
+
+    Raises:
+        InvalidInputError: It is malformed, or a LiDAR's topic is given and no bag.
+    """
+    lidar = request.sensors if isinstance(request.sensors, LidarTopic) else None
+    if is_bag(request.source):
+        choice = Choice(request.every, request.start, request.end)
+        return open_bag_drive(request.source, choice=choice, lidar=lidar)
+    if lidar is not None:
+        raise InvalidInputError("lidar", lidar.topic, "Give files, or a bag that has such a topic.")
+    return open_video(request.source) if is_data_set(request.source) else None
 
 
 def _may_have(source: FrameSource, number: int) -> bool:
@@ -217,10 +238,14 @@ def _may_have(source: FrameSource, number: int) -> bool:
     return number >= 0 and number % source.choice.every == 0 and number < len(packet_times(source.path))
 
 
-def _poses(request: VideoRequest, drive: Drive | None) -> CameraPoses | None:
-    """The given poses of the camera, else those of a data set."""
+def _poses(request: VideoRequest, drive: Drive | BagDrive | None) -> CameraPoses | None:
+    """The given poses of the camera, else those of a data set or bag."""
+    if isinstance(drive, BagDrive) and not (request.poses is not None and request.poses.exists()):
+        wanted = None if request.poses is None else str(request.poses)
+        return None if wanted is None and request.estimate_motion else drive.poses(wanted)
     if request.poses is not None:
         return read_poses(request.poses)
+    assert not isinstance(drive, BagDrive)
     known = {} if drive is None else {f.number: f.world_T_camera for f in drive.frames if f.world_T_camera is not None}
     return CameraPoses(known) if known else None
 
@@ -243,7 +268,7 @@ def _is_moving(request: VideoRequest, source: FrameSource, poses: CameraPoses | 
     return request.estimate_motion
 
 
-def _open_source(request: VideoRequest, drive: Drive | None) -> tuple[FrameSource, Given | None]:
+def _open_source(request: VideoRequest, drive: Drive | BagDrive | None) -> tuple[FrameSource, Given | None]:
     """The frames, and the vehicles that others have detected, beside the images or in their place."""
     path, category = Path(request.source), request.settings.prior.category
     part: dict[str, Any] = {"every": request.every, "start": request.start, "end": request.end}
@@ -258,12 +283,14 @@ def _open_source(request: VideoRequest, drive: Drive | None) -> tuple[FrameSourc
     if request.forget_ids and request.tracks is None:
         raise InvalidInputError("forget_ids", value=True, fix="Give `tracks` (--tracks) as well, or leave it out.")
     if drive is not None and request.fps is not None:
-        raise InvalidInputError("fps", request.fps, "Leave it out: a data set tells the times of its images.")
-    source: FrameSource = (
-        open_frames(request.source, **choice)
-        if drive is None
-        else timed_frames([f.image for f in drive.frames], [f.seconds for f in drive.frames], **part)
-    )
+        raise InvalidInputError("fps", request.fps, "Leave it out: the source tells the times of its images.")
+    source: FrameSource
+    if isinstance(drive, BagDrive):
+        source = drive.frames
+    elif drive is not None:
+        source = timed_frames([f.image for f in drive.frames], [f.seconds for f in drive.frames], **part)
+    else:
+        source = open_frames(request.source, **choice)
     if request.tracks is None:
         return source, None
     return source, read_given(request.tracks, category, forget_ids=request.forget_ids, source=source)
@@ -273,7 +300,7 @@ def _camera(
     request: VideoRequest,
     source: FrameSource,
     given: Given | None,
-    drive: Drive | None,
+    drive: Drive | BagDrive | None,
     settings: RunSettings,
     warn: Warn,
 ) -> tuple[Camera, NDArray[np.float64] | None]:
@@ -286,7 +313,7 @@ def _camera(
     if camera is None and given is not None:
         camera = given.camera
     if camera is None and drive is not None:
-        camera = drive.calibration.camera
+        camera = drive.camera if isinstance(drive, BagDrive) else drive.calibration.camera
     if camera is None and (beside := calibration_beside(source.first_file)) is not None:
         camera, offset = beside.camera, beside.label_offset
     size = None if image is None else (image.shape[1], image.shape[0])
@@ -367,7 +394,7 @@ def track_video(
         poses=job.poses,
         moving=job.moving,
         window_graph=tracker.window_graph if isinstance(tracker, Tracker) and window_graph else None,
-        sense=None if request.sensors is None else partial(_sensed, job, request.sensors),
+        sense=job.sense,
     )
     with warnings.catch_warnings(), summed_up(), _threads_beside_solving():
         warnings.simplefilter("ignore", UncoveredFramesWarning)  # said below
@@ -405,14 +432,35 @@ def _threads_beside_solving() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-def _sensed(job: VideoJob, sensors: SensorSource, record: FrameRecord) -> Sequence[Evidence]:
-    """What other sensors say of a frame."""
-    path = Path(record.name)
-    if isinstance(job.source, ImageFrames):
-        path = job.source.paths[job.source.numbers.index(record.number)]
-    elif isinstance(job.source, VideoFrames):
-        path = Path(str(record.number))
-    return sensors.evidence(path)
+def _sense(
+    request: VideoRequest, source: FrameSource, drive: Drive | BagDrive | None
+) -> Callable[[FrameRecord], Sequence[Evidence]] | None:
+    """What other sensors say of a frame, by its record; None where there are none.
+
+    Raises:
+        InvalidInputError: None of the files is of an image, or the bag's LiDAR cannot be used.
+    """
+    sensors = request.sensors
+    if sensors is None:
+        return None
+    if isinstance(sensors, LidarTopic):
+        assert isinstance(drive, BagDrive)
+        by_file = request.poses is not None and request.poses.exists()
+        wanted = None if request.poses is None or by_file else str(request.poses)
+        clouds = drive.clouds(sensors, wanted)
+        return lambda record: clouds.evidence(record.number)
+    if isinstance(source, ImageFrames):
+        sensors.check(path.name for path in source.paths)
+
+    def of_files(record: FrameRecord) -> Sequence[Evidence]:
+        path = Path(record.name)
+        if isinstance(source, ImageFrames):
+            path = source.paths[source.numbers.index(record.number)]
+        elif not isinstance(source, NumberedFrames):
+            path = Path(str(record.number))
+        return sensors.evidence(path)
+
+    return of_files
 
 
 def _keypoint_warnings(job: VideoJob, run: VideoRun) -> list[str]:

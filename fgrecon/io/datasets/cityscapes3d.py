@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import quaternion_pose
+from fgrecon.core.geometry import AHEAD, quaternion_pose
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, WorldBox, chosen
 from fgrecon.io.json_fields import Fields, read_json, within
 
@@ -25,8 +25,6 @@ _LABELS, _ENDING = "gtBbox3d", "_gtBbox3d.json"
 _IMAGES, _IMAGE_ENDING = "leftImg8bit", "_leftImg8bit.png"
 CAMERA = "left"
 _CARS = {"car": "Car"}
-AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""From a camera's axes right, down, forward to axes forward, left, up."""
 _PARTLY, _LARGELY = 0.1, 0.5  # shares of occlusion from which KITTI's grade is 1 and 2; not tuned
 
 

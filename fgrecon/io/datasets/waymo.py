@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.datasets.cityscapes3d import AHEAD
+from fgrecon.core.geometry import AHEAD
 from fgrecon.io.datasets.columns import Columns, read_columns
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, WorldBox, chosen, unpacked_images
 from fgrecon.io.json_fields import within

@@ -11,7 +11,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export.camera_path import kitti_poses_text, tum_text
 from fgrecon.io.export.dataset_results import coco_results_text, kitti_text
 from fgrecon.io.export.image_info import ImageInfo
-from fgrecon.io.export.mcap import detections_bytes, scene_bytes
+from fgrecon.io.export.mcap import detections_bytes, ros2_bytes, scene_bytes
 from fgrecon.io.export.mesh import glb_bytes, ply_bytes
 from fgrecon.io.export.openlabel import openlabel_text
 from fgrecon.io.export.results import NamedResult
@@ -37,6 +37,7 @@ _WRITERS: dict[str, Callable[[Sequence[NamedResult], Images], bytes]] = {
     "coco": lambda results, images: coco_results_text(results, images).encode(),
     "foxglove": scene_bytes,
     "vision_msgs": detections_bytes,
+    "ros2": ros2_bytes,
 }
 
 KINDS = tuple(_WRITERS)
@@ -47,7 +48,7 @@ _ENDINGS: dict[str, tuple[str, ...]] = {
     "txt": ("kitti", "tum", "kitti_poses"),
     "json": ("nuscenes", "nuscenes_tracking", "coco", "cityscapes3d", "openlabel"),
     "feather": ("argoverse2",),
-    "mcap": ("foxglove", "vision_msgs"),
+    "mcap": ("foxglove", "vision_msgs", "ros2"),
 }
 
 _PLAIN = {"txt": "kitti"}

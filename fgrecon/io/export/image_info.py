@@ -15,6 +15,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import FORWARD_LEFT_UP, box_around, transform
 from fgrecon.core.outline import imaged, points_ahead
 from fgrecon.core.repr import brief_repr
+from fgrecon.io.bag import is_bag
 from fgrecon.io.datasets import is_data_set, open_sequence
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.json_fields import Fields, read_json
@@ -25,6 +26,25 @@ EVERY = "*"
 _VISIBLE = 0.5
 _RIGID = 1e-3  # by so much a rotation may fail to be one: text of some digits does
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BagImage:
+    """An image's message in a bag.
+
+    Attributes:
+        topic: Its topic.
+        frame: Its frame, in which boxes are told beside it.
+        frame_T_camera: (4, 4) from a camera's axes right, down, ahead to those of the frame.
+        stamp: Nanoseconds of its header.
+        recorded: When it was recorded, nanoseconds.
+    """
+
+    topic: str
+    frame: str
+    frame_T_camera: Array
+    stamp: int
+    recorded: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +59,7 @@ class ImageInfo:
         world_T_camera: (4, 4) pose of the camera in the world's frame, or None.
         sequence: The drive that the image is of, such as Argoverse's log, or None.
         world_T_vehicle: (4, 4) pose of the vehicle at the time of the sample, or None.
+        bag: Its message, where it is of a bag.
     """
 
     sample_token: str | None = None
@@ -47,23 +68,26 @@ class ImageInfo:
     world_T_camera: Array | None = None
     sequence: str | None = None
     world_T_vehicle: Array | None = None
+    bag: BagImage | None = None
 
     __repr__ = brief_repr
 
 
 def read_images_file(path: Path) -> dict[str, ImageInfo]:
-    """What a JSON file, or a data set, tells of images.
+    """What a JSON file, a data set or a bag tells of images.
 
     Args:
-        path: A camera of a data set (`fgrecon.io.datasets`); or JSON: an object that has for each image (or `*`, for
-            those not named) an object with `sample_token`, `image_id`, `timestamp` in seconds, `world_T_camera`,
-            `world_T_vehicle` (4 x 4) and `sequence`, as far as they are known.
+        path: A camera of a data set (`fgrecon.io.datasets`), or a topic of a bag (`fgrecon.io.bag_drive`); or JSON:
+            an object that has for each image (or `*`, for those not named) an object with `sample_token`, `image_id`,
+            `timestamp` in seconds, `world_T_camera`, `world_T_vehicle` (4 x 4) and `sequence`, as far as known.
 
     Raises:
         InvalidInputError: The file cannot be read, or a field is of the wrong kind; names image and field.
     """
     if is_data_set(path):
         return _of_data_set(path)
+    if is_bag(path):
+        return _of_bag(path)
     data = read_json(path)
     if not isinstance(data, Mapping):
         raise InvalidInputError(str(path), type(data).__name__, "Give an object by image.")
@@ -82,6 +106,19 @@ def _of_data_set(source: Path) -> dict[str, ImageInfo]:
             world_T_vehicle=None if image.moment is None else found.moments[image.moment].world_T_vehicle,
         )
         for image in images
+    }
+
+
+def _of_bag(source: Path) -> dict[str, ImageInfo]:
+    from fgrecon.io.bag_drive import open_bag_drive
+
+    drive = open_bag_drive(source)
+    frames, axes = drive.frames, drive.frame_T_camera
+    return {
+        frames.name(number): ImageInfo(
+            timestamp=time, bag=BagImage(frames.topic, drive.frame, axes, drive.times[number], drive.recorded[number])
+        )
+        for number, time in zip(frames.numbers, frames.times, strict=True)
     }
 
 

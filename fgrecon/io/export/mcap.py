@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ from fgrecon.io.export.image_info import (
     plain_vector,
     score,
 )
-from fgrecon.io.export.messages import DETECTIONS, FRAME_TRANSFORMS, SCENE_UPDATE, TRANSFORMS
+from fgrecon.io.export.messages import FRAME_TRANSFORMS, SCENE_UPDATE, ros_definition
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.export.upright import CAMERA, MAP, WORLD, FrameTransform, transforms
 
@@ -43,9 +43,32 @@ _MCAP_SECONDS = 2**64 // _NANO  # its times are 64 bits of nanoseconds
 _ROS_SECONDS = 2**31  # `builtin_interfaces/Time` has 31 bits of seconds
 _LINE_LIST = 2  # pairs of points
 _CAR = "car"
+_CUBE, _LINES, _TEXT, _DELETE_ALL = 1, 5, 9, 3  # of `visualization_msgs/Marker`
+_COLOUR = {**dict(zip("rgb", (value / 255 for value in SURFACE), strict=True)), "a": 1.0}
+_FAINT = _COLOUR | {"a": 0.3}
+_STILL = {"position": plain_vector([0, 0, 0]), "orientation": plain_quaternion(np.eye(3))}
 
 Array = NDArray[np.float64]
-_Moment = tuple[int, ImageInfo, list[NamedResult]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """An image: its time and when that was recorded (nanoseconds), what is known of it, and its vehicles."""
+
+    time: int
+    info: ImageInfo
+    items: list[NamedResult]
+
+    @property
+    def recorded(self) -> int:
+        return self.time if self.info.bag is None else self.info.bag.recorded
+
+    @property
+    def frame(self) -> str:
+        """The frame in which its boxes are told."""
+        if self.info.bag is not None:
+            return self.info.bag.frame
+        return CAMERA if self.info.world_T_camera is None else WORLD
 
 
 def scene_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> bytes:
@@ -68,13 +91,11 @@ def scene_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo])
     content = json.dumps(FRAME_TRANSFORMS).encode()
     schema = writer.register_schema("foxglove.FrameTransforms", "jsonschema", content)
     frames = writer.register_channel("/tf", "json", schema)
-    for (time, info, items), placed in _with_transforms(_moments(results, images, _MCAP_SECONDS)):
+    for moment, placed in _with_transforms(_moments(results, images, _MCAP_SECONDS)):
+        time = moment.time
         data = json.dumps({"transforms": [_placed(one, time) for one in placed]}, allow_nan=False).encode()
         writer.add_message(frames, log_time=time, data=data, publish_time=time)
-        taken = set[str]()  # of entities with one id only the last would be shown
-        entities = [_entity(replace(item, name=distinct(item.name, taken)), info, time) for item in items]
-        clear = {"timestamp": _time(time, "nsec"), "type": 1, "id": ""}  # vehicles of the image before
-        data = json.dumps({"deletions": [clear], "entities": entities}, allow_nan=False).encode()
+        data = json.dumps(_scene(moment, "nsec"), allow_nan=False).encode()
         writer.add_message(channel, log_time=time, data=data, publish_time=time)
     writer.finish()
     return sink.getvalue()
@@ -90,21 +111,44 @@ def detections_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageI
         InvalidInputError: An image's time is none that ROS 2 can tell; names it.
         MissingPackageError: mcap-ros2-support is not installed.
     """
+    return _ros_bytes(results, images, {name: _ROS_TOPICS[name] for name in _ROS_TOPICS if "vision" in name})
+
+
+def ros2_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> bytes:
+    """The same, and markers of rviz (`/fgrecon/markers`) and Foxglove's scenes (`/fgrecon/scene`).
+
+    Raises:
+        InvalidInputError: As `detections_bytes`.
+        MissingPackageError: As `detections_bytes`.
+    """
+    return _ros_bytes(results, images, _ROS_TOPICS)
+
+
+def _ros_bytes(
+    results: Sequence[NamedResult],
+    images: Mapping[str, ImageInfo],
+    topics: Mapping[str, tuple[str, Callable[[_Moment], dict[str, Any]]]],
+) -> bytes:
     try:
         from mcap_ros2.writer import Writer
     except ImportError as error:
         raise MissingPackageError("mcap>=1.2 mcap-ros2-support>=0.5", "ROS 2 messages") from error
     sink = io.BytesIO()
     writer = Writer(sink)
-    schema = writer.register_msgdef("vision_msgs/msg/Detection3DArray", DETECTIONS)
-    frames = writer.register_msgdef("tf2_msgs/msg/TFMessage", TRANSFORMS)
+
+    def register(name: str) -> Any:
+        return writer.register_msgdef(name.replace("/", "/msg/"), ros_definition(name))
+
+    schemas = {name: register(name) for name in topics}
+    frames = register("tf2_msgs/TFMessage")
     moments = _with_transforms(_moments(results, images, _ROS_SECONDS))
-    for number, ((time, info, items), placed) in enumerate(moments):
-        stamped = {"transforms": [_stamped(one, time) for one in placed]}
-        writer.write_message("/tf", frames, stamped, time, time, number)
-        header = {"stamp": _time(time, "nanosec"), "frame_id": _frame(info)}
-        message = {"header": header, "detections": [_detection(item, info, header) for item in items]}
-        writer.write_message("/fgrecon/detections", schema, message, time, time, number)
+    for number, (moment, placed) in enumerate(moments):
+        times = moment.recorded, moment.time
+        if moment.info.bag is None:  # in a bag its own transforms lead to the image
+            stamped = {"transforms": [_stamped(one, moment.time) for one in placed]}
+            writer.write_message("/tf", frames, stamped, *times, number)
+        for name, (topic, message) in topics.items():
+            writer.write_message(topic, schemas[name], message(moment), *times, number)
     writer.finish()
     return sink.getvalue()
 
@@ -134,16 +178,19 @@ def _moments(results: Sequence[NamedResult], images: Mapping[str, ImageInfo], be
         if not 0.0 <= seconds < below:
             fix = f"Give seconds, from 0 to less than {below}, by a file of images (`images`, --images)."
             raise InvalidInputError(f"images.{image or EVERY}.timestamp", seconds, fix)
-        moments.append((round(seconds * _NANO), info, items))
-    yield from sorted(moments, key=lambda moment: moment[0])
+        if info.bag is None:
+            moments.append(_Moment(round(seconds * _NANO), info, items))
+        else:
+            moments.append(_Moment(info.bag.stamp, replace(info, world_T_camera=info.bag.frame_T_camera), items))
+    yield from sorted(moments, key=lambda moment: moment.time)
 
 
 def _with_transforms(moments: Iterator[_Moment]) -> Iterator[tuple[_Moment, list[FrameTransform]]]:
     """Each moment with the frames at it."""
     every = list(moments)
-    grounds = [next((item.ground for item in items if item.ground is not None), None) for _, _, items in every]
+    grounds = [next((item.ground for item in one.items if item.ground is not None), None) for one in every]
     any_ground: Ground | None = next((ground for ground in grounds if ground is not None), None)
-    known = [(info.world_T_camera, ground or any_ground) for (_, info, _), ground in zip(every, grounds, strict=True)]
+    known = [(one.info.world_T_camera, ground or any_ground) for one, ground in zip(every, grounds, strict=True)]
     yield from zip(every, transforms(known), strict=True)
 
 
@@ -172,44 +219,94 @@ def _time(nanoseconds: int, rest: str) -> dict[str, int]:
     return {"sec": nanoseconds // _NANO, rest: nanoseconds % _NANO}
 
 
-def _frame(info: ImageInfo) -> str:
-    return CAMERA if info.world_T_camera is None else WORLD
-
-
 def _pose(info: ImageInfo, camera_T_object: Array, size: Array) -> dict[str, Any]:
     centre, axes = box_in(info, camera_T_object, size)
     return {"position": plain_vector(centre), "orientation": plain_quaternion(axes)}
 
 
-def _entity(item: NamedResult, info: ImageInfo, time: int) -> dict[str, Any]:
-    """A vehicle in Foxglove's scene."""
+def _scene(moment: _Moment, rest: str) -> dict[str, Any]:
+    """The vehicles of an image in Foxglove's scene; `rest` is what nanoseconds are called there."""
+    taken = set[str]()  # of entities with one id only the last would be shown
+    named = [replace(item, name=distinct(item.name, taken)) for item in moment.items]
+    clear = {"timestamp": _time(moment.time, rest), "type": 1, "id": ""}  # vehicles of the image before
+    return {"deletions": [clear], "entities": [_entity(item, moment, rest) for item in named]}
+
+
+def _lines(item: NamedResult, info: ImageInfo) -> list[dict[str, float]]:
+    """The ends of a wireframe's edges, two and two."""
     result = item.result
+    pose = result.camera_T_object if info.world_T_camera is None else info.world_T_camera @ result.camera_T_object
+    return [plain_vector(point) for point in transform(pose, result.wireframe[result.shape.edges.ravel()])]
+
+
+def _entity(item: NamedResult, moment: _Moment, rest: str) -> dict[str, Any]:
+    """A vehicle in Foxglove's scene."""
+    result, info = item.result, moment.info
     pose, size = result.camera_T_object, result.box_size
-    placed = pose if info.world_T_camera is None else info.world_T_camera @ pose
-    points = transform(placed, result.wireframe[result.shape.edges.ravel()])
-    red, green, blue = (value / 255 for value in SURFACE)
-    colour = {"r": red, "g": green, "b": blue}
     box = _pose(info, pose, size)
-    still = {"position": plain_vector([0, 0, 0]), "orientation": plain_quaternion(np.eye(3))}
-    line = {"type": _LINE_LIST, "pose": still, "thickness": 2.0, "scale_invariant": True}
+    line = {"type": _LINE_LIST, "pose": _STILL, "thickness": 2.0, "scale_invariant": True}
     text = {"billboard": True, "font_size": 12.0, "scale_invariant": True, "text": item.name}
     content = {"status": result.status.value, "message": result.message, "score": f"{score(item):.3f}"}
     return {
-        "timestamp": _time(time, "nsec"),
-        "frame_id": _frame(info),
+        "timestamp": _time(moment.time, rest),
+        "frame_id": moment.frame,
         "id": item.name,
-        "lifetime": {"sec": 0, "nsec": 0},
+        "lifetime": _time(0, rest),
         "frame_locked": False,
         "metadata": [{"key": key, "value": value} for key, value in content.items()],
         **{name: [] for name in ("arrows", "spheres", "cylinders", "triangles", "models")},
-        "cubes": [{"pose": box, "size": plain_vector(size), "color": colour | {"a": 0.3}}],
-        "lines": [
-            line
-            | {"points": [plain_vector(point) for point in points], "color": colour | {"a": 1.0}}
-            | {"colors": [], "indices": []}
-        ],
-        "texts": [text | {"pose": box, "color": colour | {"a": 1.0}}],
+        "cubes": [{"pose": box, "size": plain_vector(size), "color": _FAINT}],
+        "lines": [line | {"points": _lines(item, info), "color": _COLOUR, "colors": [], "indices": []}],
+        "texts": [text | {"pose": box, "color": _COLOUR}],
     }
+
+
+def _header(moment: _Moment) -> dict[str, Any]:
+    return {"stamp": _time(moment.time, "nanosec"), "frame_id": moment.frame}
+
+
+def _markers(moment: _Moment) -> dict[str, Any]:
+    """The vehicles of an image as markers of rviz: box, wireframe and name, after those before are gone."""
+    plain = {
+        "header": _header(moment),
+        "ns": "",
+        "id": 0,
+        "type": 0,
+        "action": _DELETE_ALL,
+        "pose": _STILL,
+        "scale": plain_vector(np.zeros(3)),
+        "color": _COLOUR,
+        "lifetime": _time(0, "nanosec"),
+        "frame_locked": False,
+        "points": [],
+        "colors": [],
+        "texture_resource": "",
+        "uv_coordinates": [],
+        "texture": {"header": {"stamp": _time(0, "nanosec"), "frame_id": ""}, "format": "", "data": b""},
+        "text": "",
+        "mesh_resource": "",
+        "mesh_file": {"filename": "", "data": b""},
+        "mesh_use_embedded_materials": False,
+    }
+    markers = [plain]
+    for number, item in enumerate(moment.items):
+        size = item.result.box_size
+        box = _pose(moment.info, item.result.camera_T_object, size)
+        here = plain | {"id": number, "action": 0}
+        lines, thin = _lines(item, moment.info), plain_vector([0.03, 0.0, 0.0])
+        high = plain_vector([0.0, 0.0, 0.8])
+        markers += [
+            here | {"ns": "box", "type": _CUBE, "pose": box, "scale": plain_vector(size), "color": _FAINT},
+            here | {"ns": "wireframe", "type": _LINES, "points": lines, "scale": thin},
+            here | {"ns": "name", "type": _TEXT, "pose": box, "scale": high, "text": whole_text(item.name)},
+        ]
+    return {"markers": markers}
+
+
+def _detections(moment: _Moment) -> dict[str, Any]:
+    """The vehicles of an image in ROS 2."""
+    header = _header(moment)
+    return {"header": header, "detections": [_detection(item, moment.info, header) for item in moment.items]}
 
 
 def _detection(item: NamedResult, info: ImageInfo, header: dict[str, Any]) -> dict[str, Any]:
@@ -258,3 +355,11 @@ def pose_covariance(item: NamedResult, info: ImageInfo) -> Array:
     jacobian[:3, :3], jacobian[:3, 3:], jacobian[3:, :3] = -rotation @ np.cross(centre, np.eye(3)).T, rotation, rotation
     covariance: Array = jacobian @ result.uncertainty.pose_covariance @ jacobian.T
     return covariance
+
+
+_ROS_TOPICS: Mapping[str, tuple[str, Callable[[_Moment], dict[str, Any]]]] = {
+    "vision_msgs/Detection3DArray": ("/fgrecon/detections", _detections),
+    "visualization_msgs/MarkerArray": ("/fgrecon/markers", _markers),
+    "foxglove_msgs/SceneUpdate": ("/fgrecon/scene", lambda moment: _scene(moment, "nanosec")),
+}
+"""What is told of an image in ROS 2: topics and messages by their types."""

@@ -65,51 +65,76 @@ FRAME_TRANSFORMS: Mapping[str, Any] = {
 }
 """JSON schema of `foxglove.FrameTransforms`."""
 
-_DEFINITIONS = {
-    "": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
-    "vision_msgs/Detection3D": (
-        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
-        "vision_msgs/BoundingBox3D bbox\nstring id"
-    ),
-    "vision_msgs/ObjectHypothesisWithPose": (
-        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose"
-    ),
-    "vision_msgs/ObjectHypothesis": "string class_id\nfloat64 score",
-    "vision_msgs/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
-    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
-    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
-    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+_ROS: Mapping[str, str] = {
+    "vision_msgs/Detection3DArray": "std_msgs/Header header, vision_msgs/Detection3D[] detections",
+    "vision_msgs/Detection3D": "std_msgs/Header header, vision_msgs/ObjectHypothesisWithPose[] results, "
+    "vision_msgs/BoundingBox3D bbox, string id",
+    "vision_msgs/ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis hypothesis, "
+    "geometry_msgs/PoseWithCovariance pose",
+    "vision_msgs/ObjectHypothesis": "string class_id, float64 score",
+    "vision_msgs/BoundingBox3D": "geometry_msgs/Pose center, geometry_msgs/Vector3 size",
+    "visualization_msgs/MarkerArray": "visualization_msgs/Marker[] markers",
+    "visualization_msgs/Marker": "std_msgs/Header header, string ns, int32 id, int32 type, int32 action, "
+    "geometry_msgs/Pose pose, geometry_msgs/Vector3 scale, std_msgs/ColorRGBA color, "
+    "builtin_interfaces/Duration lifetime, bool frame_locked, geometry_msgs/Point[] points, "
+    "std_msgs/ColorRGBA[] colors, string texture_resource, sensor_msgs/CompressedImage texture, "
+    "visualization_msgs/UVCoordinate[] uv_coordinates, string text, string mesh_resource, "
+    "visualization_msgs/MeshFile mesh_file, bool mesh_use_embedded_materials",
+    "visualization_msgs/UVCoordinate": "float32 u, float32 v",
+    "visualization_msgs/MeshFile": "string filename, uint8[] data",
+    "foxglove_msgs/SceneUpdate": "foxglove_msgs/SceneEntityDeletion[] deletions, foxglove_msgs/SceneEntity[] entities",
+    "foxglove_msgs/SceneEntityDeletion": "builtin_interfaces/Time timestamp, uint8 type, string id",
+    "foxglove_msgs/SceneEntity": "builtin_interfaces/Time timestamp, string frame_id, string id, "
+    "builtin_interfaces/Duration lifetime, bool frame_locked, foxglove_msgs/KeyValuePair[] metadata, "
+    "foxglove_msgs/ArrowPrimitive[] arrows, foxglove_msgs/CubePrimitive[] cubes, "
+    "foxglove_msgs/SpherePrimitive[] spheres, foxglove_msgs/CylinderPrimitive[] cylinders, "
+    "foxglove_msgs/LinePrimitive[] lines, foxglove_msgs/TriangleListPrimitive[] triangles, "
+    "foxglove_msgs/TextPrimitive[] texts, foxglove_msgs/ModelPrimitive[] models",
+    "foxglove_msgs/KeyValuePair": "string key, string value",
+    "foxglove_msgs/Color": "float64 r, float64 g, float64 b, float64 a",
+    "foxglove_msgs/ArrowPrimitive": "geometry_msgs/Pose pose, float64 shaft_length, float64 shaft_diameter, "
+    "float64 head_length, float64 head_diameter, foxglove_msgs/Color color",
+    "foxglove_msgs/CubePrimitive": "geometry_msgs/Pose pose, geometry_msgs/Vector3 size, foxglove_msgs/Color color",
+    "foxglove_msgs/SpherePrimitive": "geometry_msgs/Pose pose, geometry_msgs/Vector3 size, foxglove_msgs/Color color",
+    "foxglove_msgs/CylinderPrimitive": "geometry_msgs/Pose pose, geometry_msgs/Vector3 size, float64 bottom_scale, "
+    "float64 top_scale, foxglove_msgs/Color color",
+    "foxglove_msgs/LinePrimitive": "uint8 type, geometry_msgs/Pose pose, float64 thickness, bool scale_invariant, "
+    "geometry_msgs/Point[] points, foxglove_msgs/Color color, foxglove_msgs/Color[] colors, uint32[] indices",
+    "foxglove_msgs/TriangleListPrimitive": "geometry_msgs/Pose pose, geometry_msgs/Point[] points, "
+    "foxglove_msgs/Color color, foxglove_msgs/Color[] colors, uint32[] indices",
+    "foxglove_msgs/TextPrimitive": "geometry_msgs/Pose pose, bool billboard, float64 font_size, bool scale_invariant, "
+    "foxglove_msgs/Color color, string text",
+    "foxglove_msgs/ModelPrimitive": "geometry_msgs/Pose pose, geometry_msgs/Vector3 scale, foxglove_msgs/Color color, "
+    "bool override_color, string url, string media_type, uint8[] data",
+    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "geometry_msgs/TransformStamped": "std_msgs/Header header, string child_frame_id, "
+    "geometry_msgs/Transform transform",
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation, geometry_msgs/Quaternion rotation",
+    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose, float64[36] covariance",
+    "geometry_msgs/Pose": "geometry_msgs/Point position, geometry_msgs/Quaternion orientation",
+    "geometry_msgs/Point": "float64 x, float64 y, float64 z",
+    "geometry_msgs/Quaternion": "float64 x, float64 y, float64 z, float64 w",
+    "geometry_msgs/Vector3": "float64 x, float64 y, float64 z",
+    "sensor_msgs/CompressedImage": "std_msgs/Header header, string format, uint8[] data",
+    "std_msgs/Header": "builtin_interfaces/Time stamp, string frame_id",
+    "std_msgs/ColorRGBA": "float32 r, float32 g, float32 b, float32 a",
+    "builtin_interfaces/Time": "int32 sec, uint32 nanosec",
+    "builtin_interfaces/Duration": "int32 sec, uint32 nanosec",
 }
+"""Messages of ROS 2 by their fields: vision_msgs 4, visualization_msgs of Humble and later, foxglove_msgs."""
 
 _RULE = f"\n{80 * '='}\n"
 
-_OF_TRANSFORMS = {
-    "": "geometry_msgs/TransformStamped[] transforms",
-    "geometry_msgs/TransformStamped": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
-    ),
-    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
-    **{
-        name: _DEFINITIONS[name]
-        for name in (
-            *("std_msgs/Header", "builtin_interfaces/Time"),
-            *("geometry_msgs/Vector3", "geometry_msgs/Quaternion"),
-        )
-    },
-}
 
+def ros_definition(name: str) -> str:
+    """A message's definition, with those that it is made of.
 
-def _text(definitions: Mapping[str, str]) -> str:
-    """A definition, with those that it is made of."""
-    return _RULE.join(f"MSG: {name}\n{text}" if name else text for name, text in definitions.items())
-
-
-DETECTIONS = _text(_DEFINITIONS)
-"""Definition of `vision_msgs/msg/Detection3DArray` (vision_msgs 4)."""
-
-TRANSFORMS = _text(_OF_TRANSFORMS)
-"""Definition of `tf2_msgs/msg/TFMessage`."""
+    Args:
+        name: Such as `vision_msgs/Detection3DArray`.
+    """
+    needed = [name]
+    for one in needed:  # grows on the way
+        kinds = (field.split()[0].partition("[")[0] for field in _ROS[one].split(", "))
+        needed += dict.fromkeys(kind for kind in kinds if kind in _ROS and kind not in needed)
+    texts = ["\n".join(_ROS[one].split(", ")) for one in needed]
+    return _RULE.join([texts[0], *(f"MSG: {one}\n{text}" for one, text in zip(needed[1:], texts[1:], strict=True))])

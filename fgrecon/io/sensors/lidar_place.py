@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.kitti_calibration import KittiCalibration, calibration_beside, read_calibration
 from fgrecon.io.nuscenes import camera_T_lidar, is_nuscenes, open_nuscenes
-from fgrecon.io.poses import read_poses
+from fgrecon.io.poses import read_pose
 
 Place = NDArray[np.float64] | KittiCalibration
 """A motion (4, 4) from the LiDAR's frame to the camera's, or a calibration that has it."""
@@ -40,16 +39,3 @@ def lidar_place(cloud: Path, image: Path, camera: CameraSource, pose: Path | Non
         if path.suffix == ".txt":
             return read_calibration(path)
     return calibration_beside(image)
-
-
-def read_pose(path: Path) -> NDArray[np.float64]:
-    """(4, 4) the one motion of a file: twelve numbers [R | t] row by row, or JSON with a list of one matrix.
-
-    Raises:
-        InvalidInputError: The file cannot be read, or has another number of motions.
-    """
-    poses = read_poses(path)
-    if list(poses.by_frame) != [0]:
-        fix = "Give one motion from the LiDAR's frame to the camera's: twelve numbers [R | t], or JSON with a matrix."
-        raise InvalidInputError("lidar_pose", str(path), fix)
-    return poses.by_frame[0]
