@@ -10,7 +10,7 @@ from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.bag import Bag
-from fgrecon.io.bag_images import FILMS, Picture, codec_of, film, still
+from fgrecon.io.bag_images import FILMS, BagPicture, codec_of, film, still
 from fgrecon.io.source_frames import SourceFrame, sized
 
 
@@ -58,7 +58,7 @@ class BagFrames:
                 frame = SourceFrame(picture.place, time, name, picture.image, picture.problem)
                 yield sized(frame, size, f"{self.bag.path.name}: {self.topic}: message {picture.place}")
 
-    def _pictures(self, times: dict[int, float], after: int | None) -> Iterator[Picture]:
+    def _pictures(self, times: dict[int, float], after: int | None) -> Iterator[BagPicture]:
         """The pictures that are needed: of a film all, of others those that are taken, and the first."""
         where, last = f"{self.bag.path}: {self.topic}: ", self.numbers[-1]
         contents = (content for _, _, content in self.bag.messages([self.topic]))
@@ -92,8 +92,8 @@ class BagFrames:
                 raise
             return None
 
-    def _still(self, place: int, content: bytes, where: str) -> Picture:
+    def _still(self, place: int, content: bytes, where: str) -> BagPicture:
         try:
-            return Picture(place, still(self.bag.message(self.topic, content), where))
+            return BagPicture(place, still(self.bag.message(self.topic, content), where))
         except InvalidInputError as error:
-            return Picture(place, None, str(error))
+            return BagPicture(place, None, str(error))

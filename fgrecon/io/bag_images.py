@@ -39,7 +39,7 @@ _BAYER = {"rggb": "BG", "bggr": "RG", "gbrg": "GR", "grbg": "GB"}
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class BagPicture:
     """A picture of a topic.
 
     Attributes:
@@ -118,7 +118,7 @@ def _raw(message: Any, where: str) -> Pixels:
     return np.ascontiguousarray(found, dtype=np.uint8)
 
 
-def film(messages: Iterable[Any], codec: str, where: str) -> Iterator[Picture]:
+def film(messages: Iterable[Any], codec: str, where: str) -> Iterator[BagPicture]:
     """The pictures of a film, a message each, in order; messages before the first whole one have none.
 
     Args:
@@ -134,24 +134,24 @@ def film(messages: Iterable[Any], codec: str, where: str) -> Iterator[Picture]:
     except ImportError as error:
         raise MissingPackageError("av>=14", "Reading a film of a bag") from error
     decoder: Any = av.CodecContext.create(codec, "r")
-    waiting: list[Picture] = []  # messages whose pictures have not come yet
+    waiting: list[BagPicture] = []  # messages whose pictures have not come yet
 
-    def come(pictures: Iterable[Any]) -> Iterator[Picture]:
+    def come(pictures: Iterable[Any]) -> Iterator[BagPicture]:
         for picture in pictures:
             while waiting and waiting[0].place < picture.pts:
                 yield waiting.pop(0)
             if waiting and waiting[0].place == picture.pts:
                 waiting.pop(0)
-                yield Picture(picture.pts, picture.to_ndarray(format="rgb24"))
+                yield BagPicture(picture.pts, picture.to_ndarray(format="rgb24"))
 
     for place, message in enumerate(messages):
         packet: Any = av.Packet(bytes(np.asarray(message.data, dtype=np.uint8)))
         packet.pts = packet.dts = place
-        waiting.append(Picture(place, None, f"{where}message {place}: no picture of {codec}"))
+        waiting.append(BagPicture(place, None, f"{where}message {place}: no picture of {codec}"))
         try:
             yield from come(decoder.decode(packet))
         except av.error.FFmpegError as error:
-            waiting[-1] = Picture(place, None, f"{where}message {place}: {error.strerror}")
+            waiting[-1] = BagPicture(place, None, f"{where}message {place}: {error.strerror}")
     with suppress(av.error.FFmpegError):  # the rest has no pictures
         yield from come(decoder.decode(None))
     yield from waiting
