@@ -22,8 +22,8 @@ from fgrecon.cli.main import app
 from fgrecon.io.frames import ImageFrames
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.vehicles import NanodetVehicleDetector
-from fgrecon.solve.tracker import Tracker
 from fgrecon.video.follow import Follower
+from fgrecon.video.run import VideoRun
 
 came: dict[int, float] = {}
 done: dict[int, float] = {}
@@ -95,7 +95,7 @@ def main() -> None:
     clock(NanodetVehicleDetector, "__call__", "car detector")
     clock(KeypointCascade, "__call__", "keypoint networks")
     clock(motion_stage(), "__call__", "the camera's motion")
-    clock(Tracker, "smooth", "smoothing")
+    clock(VideoRun, "smooth", "smoothing")
     with suppress(SystemExit):
         app(arguments)
     delays = [done[number] - came[number] for number in sorted(done)]

@@ -266,3 +266,72 @@ def accelerated(const double[:, ::1] changes, const double[:, ::1] moves, const 
             for i in range(n):
                 further[d] -= share[i] * (moves[i, d] + changes[i, d])
     return result
+
+
+cdef inline double inner(const double *a, const double *b, int n) noexcept nogil:
+    """a . b, in four sums that need not wait for one another."""
+    cdef double s = 0.0, t = 0.0, u = 0.0, v = 0.0
+    cdef int i = 0
+    while i + 4 <= n:
+        s += a[i] * b[i]
+        t += a[i + 1] * b[i + 1]
+        u += a[i + 2] * b[i + 2]
+        v += a[i + 3] * b[i + 3]
+        i += 4
+    while i < n:
+        s += a[i] * b[i]
+        i += 1
+    return (s + t) + (u + v)
+
+
+def covariance(const double[:, :] information, const Py_ssize_t[::1] order, int cut, double least):
+    """The covariance of some variables by one factorisation (`fgrecon.solve.graph.covariance.Spread`).
+
+    Args:
+        information: (E, E) of all variables; its lower half is read.
+        order: (D,) which of its rows are taken, in order: those of the variables that are wanted last.
+        cut: Where those begin.
+        least: Share of a row's information that all before it must leave.
+
+    Returns:
+        (D - cut, D - cut); None where the information does not determine them.
+    """
+    cdef int D = order.shape[0], m = D - cut, i, j, a, b
+    cdef double s
+    cdef bint determined = True
+    if not 0 <= cut <= D:
+        raise ValueError("a place in the order is wanted")
+    for i in range(D):
+        if not 0 <= order[i] < min(information.shape[0], information.shape[1]):
+            raise IndexError("rows of the information are wanted")
+    root, scales, halves, found = np.empty((D, D)), np.empty(D), np.zeros((m, m)), np.empty((m, m))
+    cdef double[:, ::1] L = root, X = halves, C = found
+    cdef double[::1] scale = scales
+    with nogil:
+        for i in range(D):
+            s = information[order[i], order[i]]
+            if not 0.0 < s < INFINITY:
+                determined = False
+                break
+            scale[i] = sqrt(s)
+            for j in range(i + 1):
+                s = information[max(order[i], order[j]), min(order[i], order[j])] / (scale[i] * scale[j])
+                s -= inner(&L[i, 0], &L[j, 0], j)
+                if j < i:
+                    L[i, j] = s / L[j, j]
+                elif s > least:
+                    L[i, i] = sqrt(s)
+                else:
+                    determined = False
+            if not determined:
+                break
+        if determined:
+            for b in range(m):  # the inverse of the last block, a column after the other, kept as rows
+                X[b, b] = 1.0 / L[cut + b, cut + b]
+                for i in range(b + 1, m):
+                    X[b, i] = -inner(&L[cut + i, cut + b], &X[b, b], i - b) / L[cut + i, cut + i]
+            for a in range(m):
+                for b in range(a + 1):
+                    s = inner(&X[a, a], &X[b, a], m - a) / (scale[cut + a] * scale[cut + b])
+                    C[a, b] = C[b, a] = s
+    return found if determined else None

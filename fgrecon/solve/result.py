@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import gtsam
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
+from fgrecon.core.checks import own
 from fgrecon.core.detection import calibrated_facing, pose_facing_probability
 from fgrecon.core.geometry import transform
 from fgrecon.core.history import Deferred
@@ -251,16 +252,11 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
         ),
         shape=Shape.with_later(
             {} if prior.surface is None else _surface(prior.surface, coefficients),
-            category=category.name,
-            prior=prior.name,
-            keypoint_names=category.keypoints,
+            **_model(prior),
             coefficients=coefficients,
             offsets=offsets,
             wireframe=wireframe,
-            edges=np.array(category.edges, dtype=np.int64).reshape(-1, 2),
             box_size=box_size,
-            faces={face.name: face.keypoints for face in category.faces},
-            symmetric_pairs=np.array(category.symmetric_pairs, dtype=np.int64).reshape(-1, 2),
         ),
         uncertainty=Uncertainty(
             pose_covariance=None if uncertainty is None else uncertainty.pose,
@@ -285,6 +281,20 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
         ),
     )
     return weakened(found, reasons)
+
+
+@lru_cache(maxsize=16)
+def _model(prior: ShapePrior) -> Mapping[str, Any]:
+    """What the shapes of all results of a prior have in common."""
+    category = prior.category
+    return {
+        "category": category.name,
+        "prior": prior.name,
+        "keypoint_names": category.keypoints,
+        "edges": own(np.array(category.edges, dtype=np.int64).reshape(-1, 2)),
+        "faces": {face.name: face.keypoints for face in category.faces},
+        "symmetric_pairs": own(np.array(category.symmetric_pairs, dtype=np.int64).reshape(-1, 2)),
+    }
 
 
 def _surface(surface: Surface, coefficients: Array) -> dict[str, Callable[[], Any]]:

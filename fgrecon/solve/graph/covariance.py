@@ -10,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.keys import decode_key
+from factors.native import native
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.graph import Graph
 from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 
 Array = NDArray[np.float64]
+
+_COMPILED = 160
+"""Numbers of variables up to which the kernel is faster than LAPACK."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Spread:
         covariance: (D, D).
     """
 
-    places: dict[int, NDArray[np.intp]]
+    places: dict[int, slice]
     covariance: Array
 
     @classmethod
@@ -58,35 +62,46 @@ class Spread:
             every: Where they are there, by key.
             selected: Keys of those that are needed; None for all.
         """
-        keys, cut = list(every), 0
-        if selected is not None:  # last: the last rows of a triangular factor are the marginal's
-            keys.sort(key=lambda key: key in selected)
-            cut = sum(every[key].stop - every[key].start for key in keys if key not in selected)
-            order = np.concatenate([np.arange(every[key].start, every[key].stop) for key in keys])
-            information = information[order[:, None], order]
-        places, start = {}, -cut
-        for key in keys:
-            end = start + every[key].stop - every[key].start
-            if start >= 0:
-                places[key] = np.arange(start, end)
-            start = end
-        scale = np.sqrt(information.diagonal())
-        if not (np.isfinite(scale).all() and scale.min(initial=np.inf) > 0.0):
-            return None
-        try:
-            root = np.linalg.cholesky(information / np.outer(scale, scale))
-        except np.linalg.LinAlgError:
-            return None
-        if not root.diagonal().min(initial=1.0) ** 2 > SETTINGS.undetermined_share:
-            return None
-        half = np.linalg.inv(root[cut:, cut:]) / scale[cut:]
-        return cls(places, half.T @ half)
+        needed = [*every] if selected is None else [key for key in every if key in selected]
+        others = [] if selected is None else [key for key in every if key not in selected]
+        # Last: the last rows of a triangular factor are the marginal's.
+        order = np.array([i for key in (*others, *needed) for i in range(every[key].start, every[key].stop)], np.intp)
+        places, end = {}, 0
+        for key in needed:
+            start, end = end, end + every[key].stop - every[key].start
+            places[key] = slice(start, end)
+        kernel = native("fgrecon.solve._native") if len(order) <= _COMPILED else None
+        found = (_covariance if kernel is None else kernel.covariance)(
+            information, order, len(order) - end, SETTINGS.undetermined_share
+        )
+        return None if found is None else cls(places, found)
 
     def joint(self, keys: Sequence[int]) -> Array:
         """Of several variables, in the order of their keys."""
-        rows = np.concatenate([self.places[key] for key in keys])
-        joint: Array = self.covariance[np.ix_(rows, rows)]
+        if len(keys) == 1:
+            place = self.places[keys[0]]
+            return self.covariance[place, place].copy()
+        rows = np.array([i for key in keys for i in range(self.places[key].start, self.places[key].stop)])
+        joint: Array = self.covariance[rows[:, None], rows]
         return joint
+
+
+def _covariance(information: Array, order: NDArray[np.intp], cut: int, least: float) -> Array | None:
+    """The kernel's `covariance`, for large graphs and where there is no compiler."""
+    information = information[order[:, None], order]
+    diagonal = information.diagonal()
+    if not (np.isfinite(diagonal).all() and diagonal.min(initial=np.inf) > 0.0):
+        return None
+    scale = np.sqrt(diagonal)
+    try:
+        root = np.linalg.cholesky(information / np.outer(scale, scale))
+    except np.linalg.LinAlgError:
+        return None
+    if not root.diagonal().min(initial=1.0) ** 2 > least:
+        return None
+    half = np.linalg.inv(root[cut:, cut:]) / scale[cut:]
+    covariance: Array = half.T @ half
+    return covariance
 
 
 def marginals_of(

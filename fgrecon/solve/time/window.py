@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import groupby, pairwise
 
 import gtsam
@@ -97,7 +98,9 @@ class WindowSolve:
         keypoints are all taken for wrong, though by itself they are right.
         """
         optimum, last = self.adjusted.optimum, {one.image for one in self.seen[-2:]}
-        against = sum(f.error(optimum.values) for f in self.extra if len(ends := _frames_of(f)) > 1 and ends & last)
+        ends = [_frames_of(tuple(factor.keys())) for factor in self.extra]
+        between = [f for f, some in zip(self.extra, ends, strict=True) if len(some) > 1 and some & last]
+        against = sum(factor.error(optimum.values) for factor in between)
         if against > energy * self.motion_share:
             return True
         start, pose = self.starts[-1], optimum.state.poses[-1].matrix()
@@ -106,10 +109,10 @@ class WindowSolve:
         return bool(optimum.state.weights[-1].keypoints.sum() < SETTINGS.explained_share * start.weights.sum())
 
 
-def _frames_of(factor: gtsam.NonlinearFactor) -> set[int]:
+@lru_cache(maxsize=256)
+def _frames_of(keys: tuple[int, ...]) -> frozenset[int]:
     """Numbers of the frames whose poses and velocities a factor is about."""
-    keys = [decode_key(key) for key in list(factor.keys())]
-    return {key.low for key in keys if key.letter in "XV"}
+    return frozenset(key.low for key in map(decode_key, keys) if key.letter in "XV")
 
 
 def solve_single(problem: Problem, start: PoseEstimate, number: int) -> WindowSolve:
