@@ -23,9 +23,10 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.guard import CompiledRows, Evaluation, guarded_factor
-from factors.mixture import Form, mixture, robust_rows
+from factors.guard import Evaluation
+from factors.mixture import Form, mixture
 from factors.native import native
+from factors.sensed import SensedFactor
 from factors.surface_patches import SPACING, SurfacePatches
 
 Array = NDArray[np.float64]
@@ -193,45 +194,31 @@ class PointRows:
         return weights, self.share * float((np.where(outliers, 0.0, losses) + off).sum())
 
 
-class SurfacePointsFactor:
-    """The callback of a factor of points on pose and lambda; matches and weights are set on it between steps.
+class SurfacePointsFactor(SensedFactor):
+    """Points on pose and lambda; matches and weights are set between steps.
 
     Attributes:
         rows: The points.
-        form: How the mixture is handed to the solver.
         weights: (M,) weights of the points there.
-        common_factor: By how much less the points say of covariances, with `Form.WEIGHTED`.
     """
+
+    name = "points"
 
     def __init__(
         self, rows: PointRows, pose: int | Array, coefficients: int | Array, share: float = 1.0, common: float = 1.0
     ) -> None:
         """Bind the points to variables by their keys, or to constants: camera_T_object (4, 4), lambda (N,)."""
+        super().__init__(pose, coefficients, len(rows.patches.basis), len(rows.points))
         self.rows, self._share, self.common_factor = rows, share * rows.share, common
         self._share_of_image = share
-        self._pose, self._coefficients = pose, coefficients
-        count = len(rows.patches.basis)
-        widths = ((pose, slice(0, 6)), (coefficients, slice(6, 6 + count)))
-        bound = [(key, part) for key, part in widths if isinstance(key, int)]
-        self.keys = tuple(key for key, _ in bound)
-        self.dims = tuple(part.stop - part.start for _, part in bound)
-        self._columns = np.concatenate([np.arange(part.start, part.stop) for _, part in bound] or [np.zeros(0, int)])
         self._matches = 0
-        self.form = Form.NEWTON
-        self._source: Any = None
         if rows.compiled is not None:
             self._source = rows.kernel.PointSource(rows.compiled, self._share)
         self._matched: tuple[tuple[Array, Array, Array], Match] | None = None
         self.weights = np.zeros(len(rows.points))
 
-    def state(self, values: gtsam.Values) -> tuple[Array, Array, Array]:
-        """Rotation, translation and coefficients at the values."""
-        pose = values.atPose3(self._pose).matrix() if isinstance(self._pose, int) else self._pose
-        key = self._coefficients
-        return pose[:3, :3], pose[:3, 3], values.atVector(key) if isinstance(key, int) else key
-
-    def look(self, values: gtsam.Values, *, hold: bool = False) -> float:
-        """Match the points at the values and weigh them; their energy there, nats.
+    def look(self, values: gtsam.Values, *, hold: bool = False) -> None:
+        """Match the points at the values and weigh them.
 
         Near where they were matched last they keep their patches, and where that is requested.
         """
@@ -240,14 +227,13 @@ class SurfacePointsFactor:
         if self._matched is None or not (hold or _alike(self._matched[0], state, near)):
             self._matched, self._matches = (state, self.rows.match(*state)), self._matches + 1
         match = self._matched[1]
-        self.weights, energy = self.rows.assess(match, self.rows.distances(match, *state, want=False)[0])
+        self.weights, _ = self.rows.assess(match, self.rows.distances(match, *state, want=False)[0])
         if self._source is not None:
             self._source.tell(match.patch, match.right, match.wrong, self.weights)
-        return self._share_of_image * energy
 
     def tell(self, form: Form, common_factor: float = 1.0) -> None:
         """Set the form, and by how much less the points say with `Form.WEIGHTED`."""
-        self.form, self.common_factor = form, common_factor
+        super().tell(form, common_factor)
         if self._source is not None:
             self._source.form, self._source.common = int(form), common_factor
 
@@ -258,11 +244,6 @@ class SurfacePointsFactor:
         distances, _ = self.rows.distances(match, *state, want=False)
         return self._share_of_image * self.rows.assess(match, distances)[1]
 
-    def error(self, values: gtsam.Values) -> float:
-        """What a step is judged by: half the squared rows at the values, with the patches that are set, nats."""
-        rows, _ = self(values, want_jacobian=False)
-        return 0.5 * float(rows @ rows)
-
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         """The rows at the values."""
         if self._matched is None:
@@ -270,24 +251,7 @@ class SurfacePointsFactor:
         assert self._matched is not None
         match = self._matched[1]
         distances, jacobian = self.rows.distances(match, *self.state(values), want=want_jacobian)
-        form = self.form if want_jacobian or self.form is Form.WEIGHTED else Form.LOSS
-        right = self.weights / self.common_factor if form is Form.WEIGHTED else match.right
-        by = None if jacobian is None else jacobian[:, None, self._columns]
-        rows, by = robust_rows(form, right, match.wrong, distances[:, None], by)
-        root = self._share**0.5
-        return root * rows[:, 0], None if by is None else root * by[:, 0]
-
-    @cached_property
-    def factor(self) -> gtsam.CustomFactor:
-        """The factor; of unit noise, since rows are whitened."""
-        compiled = None if self._source is None else CompiledRows(self._source, (self._bound_pose, self._coefficients))
-        return guarded_factor("points", 1.0, self.keys, self.dims, len(self.rows.points), self, compiled=compiled)
-
-    @property
-    def _bound_pose(self) -> int | Array:
-        """The pose as compiled rows take it."""
-        pose = self._pose
-        return pose if isinstance(pose, int) else np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]])
+        return self._robust(self.weights, (match.right, match.wrong), distances, jacobian, share=self._share)
 
 
 NEAR = 0.003

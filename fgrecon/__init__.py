@@ -28,7 +28,8 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.choices import BoxModel, StrategyName
     from fgrecon.core.detection import Detection
     from fgrecon.core.detector_calibration import DetectorCalibration
-    from fgrecon.core.evidence import Points
+    from fgrecon.core.evidence import Points, Range, RangeRate
+    from fgrecon.core.mask import Mask
     from fgrecon.core.observation import Observation
     from fgrecon.core.options import BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
     from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
@@ -71,10 +72,13 @@ __all__ = [
     "JointStep",
     "KeypointDetector",
     "KeypointOptions",
+    "Mask",
     "MotionModel",
     "Observation",
     "Options",
     "Points",
+    "Range",
+    "RangeRate",
     "Reconstruction",
     "RefinedBox",
     "Regions",

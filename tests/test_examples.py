@@ -118,3 +118,18 @@ def test_video(capsys):
     assert len(off) == 6
     assert np.median(off) < 1.5
     assert float(re.search(rf"{NUMBER} m/s", lines[-1])[1]) == pytest.approx(13.0, abs=4.0)
+
+
+def test_lidar_and_camera(capsys):
+    camera_only, with_lidar = map(float, re.findall(f"off by {NUMBER} m", run("11", capsys)))
+    assert with_lidar < 0.1 < camera_only
+
+
+def test_radar_over_time(capsys):
+    lines = run("12", capsys).splitlines()
+    rows = [(line, float(re.search(f"off by {NUMBER} m", line)[1]), float(line.split()[-2])) for line in lines]
+    (_, off, _), (_, off_with, speed_with) = [
+        [row for row in rows if name in row[0]][-1] for name in ("camera alone", "with the radar")
+    ]
+    assert off_with < 0.3 < off
+    assert speed_with == pytest.approx(15.0, abs=0.3)

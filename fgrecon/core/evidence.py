@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_either, as_finite, as_list, as_shape, own
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.mask import Mask
 from fgrecon.core.repr import brief_repr
 from fgrecon.core.vehicle_class import VehicleClass
 
 _LEAST_SIGMA, _LARGEST_SIGMA = 1e-4, 100.0  # metres
 _FARTHEST = 1e5  # metres: no sensor measures farther
+_FASTEST = 200.0  # metres per second: no vehicle drives faster
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +65,72 @@ class Points:
         return Points(self.points[::every], sigma, self.origin)
 
 
-Evidence = Points | VehicleClass
+@dataclass(frozen=True, eq=False)
+class Range:
+    """How far away one vehicle is, as a radar, a range finder or an ultrasonic sensor says.
+
+    Attributes:
+        metres: From the sensor to the nearest point of the vehicle, or to its middle.
+        sigma: Its standard deviation, metres.
+        origin: (3,) where the sensor is in the camera's frame, metres.
+        to_centre: Whether it is measured to the middle of the vehicle's 3D box.
+    """
+
+    metres: float
+    sigma: float
+    origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    to_centre: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InvalidInputError: The range is not above zero, or the standard deviation is none.
+        """
+        _keep(self, "range", "metres", "Give metres, above zero.", (1e-3, _FARTHEST))
+        _keep(self, "range", "sigma", "Give a standard deviation in metres.", (_LEAST_SIGMA, _LARGEST_SIGMA))
+        object.__setattr__(self, "origin", own(as_finite("range.origin", self.origin, (3,))))
+
+
+@dataclass(frozen=True, eq=False)
+class RangeRate:
+    """How fast one vehicle comes or goes, along the ray from a radar.
+
+    It is about its velocity: a `Tracker` uses it, a single image tells none.
+
+    Attributes:
+        metres_per_second: Positive where it goes away.
+        sigma: Its standard deviation, metres per second.
+        origin: (3,) where the radar is in the camera's frame, metres.
+        over_ground: Whether the radar's own motion is taken off; else the rate is relative to it.
+    """
+
+    metres_per_second: float
+    sigma: float
+    origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    over_ground: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InvalidInputError: The rate is no number that a vehicle has, or the standard deviation is none.
+        """
+        fix = "Give metres per second, positive where the vehicle goes away."
+        _keep(self, "range_rate", "metres_per_second", fix, (-_FASTEST, _FASTEST))
+        fix = "Give a standard deviation in metres per second."
+        _keep(self, "range_rate", "sigma", fix, (_LEAST_SIGMA, _LARGEST_SIGMA))
+        object.__setattr__(self, "origin", own(as_finite("range_rate.origin", self.origin, (3,))))
+
+
+def _keep(evidence: Range | RangeRate, kind: str, name: str, fix: str, limits: tuple[float, float]) -> None:
+    value = float(as_finite(f"{kind}.{name}", getattr(evidence, name), (), fix))
+    if not limits[0] <= value <= limits[1]:
+        raise InvalidInputError(f"{kind}.{name}", value, fix)
+    object.__setattr__(evidence, name, value)
+
+
+Evidence = Points | VehicleClass | Range | RangeRate | Mask
 """What may be given as evidence."""
 
 
@@ -75,6 +142,7 @@ def as_evidence(given: Any) -> tuple[Evidence, ...]:
     """
     found = as_list("evidence", given)
     for number, one in enumerate(found):
-        if not isinstance(one, Points | VehicleClass):
-            raise InvalidInputError(f"evidence[{number}]", one, "Give `Points`, or a `VehicleClass`.")
+        if not isinstance(one, Evidence):
+            names = ", ".join(f"`{kind.__name__}`" for kind in get_args(Evidence))
+            raise InvalidInputError(f"evidence[{number}]", one, f"Give any of {names}.")
     return tuple(found)

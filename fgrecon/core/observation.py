@@ -195,6 +195,16 @@ class Observation:
         return squared / (squared + self.confidence_midpoint**2)
 
     @property
+    def place(self) -> NDArray[np.float64] | None:
+        """(4,) the box, or that around the measured keypoints; None where neither is there."""
+        if self.box is not None:
+            return self.box
+        points = self.keypoints[self.measured]
+        if len(points) < 2 or np.ptp(points, axis=0).min() < 1.0:
+            return None
+        return np.concatenate([points.min(axis=0), points.max(axis=0)])
+
+    @property
     def extent(self) -> float:
         """max(h, w) of the box in pixels, or of the measured keypoints of any confidence where no box is given."""
         if self.box is not None:

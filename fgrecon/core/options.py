@@ -195,6 +195,8 @@ class Options:
         "ground",
         "direction",
         "points",
+        "range",
+        "mask",
     )
 
     def __init__(

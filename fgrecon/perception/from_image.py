@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +30,9 @@ from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.terms import direction_penalty as penalty_of
 from fgrecon.solve.scene import reconstruct_scene
+
+if TYPE_CHECKING:
+    import gtsam
 
 Array = NDArray[np.float64]
 
@@ -95,6 +98,7 @@ def reconstruct_detections(
     options: Options | None = None,
     together: bool = True,
     evidence: Sequence[Evidence] = (),
+    extra_factors: Sequence[gtsam.NonlinearFactor] = (),
 ) -> list[FromImage]:
     """Pose and shape of the detected vehicles of one image; the arguments are those of `reconstruct_image`.
 
@@ -107,6 +111,7 @@ def reconstruct_detections(
         options: Settings.
         together: Whether the vehicles share one ground.
         evidence: What other sensors say of the vehicles.
+        extra_factors: The caller's own factors.
 
     Returns:
         The vehicles, in the order of the detections; one that was refused has its error.
@@ -124,9 +129,13 @@ def reconstruct_detections(
             size_prior=size_prior,
             options=options,
             evidence=evidence,
+            extra_factors=extra_factors,
         )
         solved = dict(zip(scene.numbers, scene.vehicles, strict=True))
         return [FromImage(d, solved.get(i), scene.refused.get(i), scene.camera) for i, d in enumerate(detections)]
+    if len(extra_factors):
+        fix = "Let the vehicles be solved together (together=True, joint=True): else each has a graph of its own."
+        raise InvalidInputError("extra_factors", f"{len(extra_factors)} factors", fix)
     vehicles = []
     for detection in detections:
         try:
@@ -153,6 +162,7 @@ def reconstruct_image(
     together: bool = True,
     classes: Sequence[VehicleClass | None] | Literal["detected"] | None = None,
     evidence: Sequence[Evidence] = (),
+    extra_factors: Sequence[gtsam.NonlinearFactor] = (),
 ) -> list[FromImage]:
     """Pose and shape of the vehicles in an image.
 
@@ -173,7 +183,10 @@ def reconstruct_image(
             is not known they are solved together in any case.
         classes: Which class the vehicle in each box is of, which tells its size; or `detected` for what the vehicle
             detector says. None where nobody says.
-        evidence: What other sensors say of the vehicles, such as `fgrecon.Points` of a scan in the camera's frame.
+        evidence: What other sensors say of the vehicles, such as `fgrecon.Points` of a scan in the camera's frame, or a
+            `fgrecon.Mask` of each.
+        extra_factors: The caller's own factors on the poses X(v, 0) and lambdas L(v), v the number of the box, and the
+            ground G(0), as `fgrecon.reconstruct_scene` has them; the vehicles have to be solved together.
 
     Returns:
         The vehicles, in the order of the boxes; one that was refused has its error. Empty where there is none.
@@ -200,7 +213,7 @@ def reconstruct_image(
     detections = find_keypoints(networks, pixels, corners, shape_prior.category)
     detections = _with_classes(detections, named if classes == "detected" else classes)
     how: dict[str, Any] = {"ground": ground, "size_prior": size_prior, "options": options, "together": together}
-    how["evidence"] = evidence
+    how |= {"evidence": evidence, "extra_factors": extra_factors}
     vehicles = reconstruct_detections(detections, sized, prior=shape_prior, **how)
     estimated = next((one.camera for one in vehicles if one.result is not None), None)
     if known is None and estimated is not None:

@@ -9,7 +9,7 @@ from factors.lazy import lazy_names
 if TYPE_CHECKING:  # imported when used
     from fgrecon.simulation.demo import DemoScene, demo_scene
     from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
-    from fgrecon.simulation.sample import SampleStreet, sample_drive
+    from fgrecon.simulation.sample import SampleStreet, sample_drive, sample_scan, sample_street
     from fgrecon.simulation.vehicles import (
         KITTI_CAMERA,
         SimulatedTruth,
@@ -31,6 +31,8 @@ __all__ = [
     "demo_scene",
     "kitti_like_pose",
     "sample_drive",
+    "sample_scan",
+    "sample_street",
     "simulate",
     "simulate_track",
     "yaw_pose",

@@ -17,8 +17,9 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_instance, as_list, as_rigid, as_shape
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.evidence import Evidence, Points, as_evidence
+from fgrecon.core.evidence import Evidence, Points, Range, RangeRate, as_evidence
 from fgrecon.core.input_warnings import InputWarning, input_warning_of, strays
+from fgrecon.core.mask import Mask, of_vehicle
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.point_frames import check_points
@@ -37,6 +38,7 @@ Array = NDArray[np.float64]
 _CAMERA_NUMBERS = Real, np.ndarray, list, tuple  # what a matrix, or fx, fy, cx, cy, are made of
 _TURN = 2.0 * np.pi + 1e-6  # radians; what is more is in degrees
 _ROTATION_TOLERANCE = 1e-4  # of a camera's pose: more digits than that are seldom lost
+_LEAST_MASK_OVERLAP = 0.3  # intersection over union of both boxes, from which on a mask is a vehicle's
 _ROUNDING = 1e-9  # share of the largest number of a covariance that is rounding
 
 
@@ -170,7 +172,31 @@ def observe(
     doubt = input_warning_of(given, camera)
     for which, why in strays(observation, camera):
         observation = observation.without(which, category.keypoints, why)
-    return Observed(observation.undistorted(camera, category.keypoints), doubt)
+    return Observed(_with_own_mask(observation.undistorted(camera, category.keypoints), camera), doubt)
+
+
+def _with_own_mask(observation: Observation, camera: Camera) -> Observation:
+    """The observation with its own mask, of those of the image, freed of lens distortion, and what may hide it.
+
+    Raises:
+        InvalidInputError: A mask is of an image of another size.
+    """
+    masks = [one for one in observation.evidence if isinstance(one, Mask)]
+    if not masks:
+        return observation
+    for one in masks:
+        if camera.image_size is not None and one.image_size != tuple(camera.image_size):
+            width, height = camera.image_size
+            fix = f"Give masks of the whole image: ({height}, {width}), a number for each pixel."
+            raise InvalidInputError("mask", f"{one.image_size[1]} rows of {one.image_size[0]}", fix)
+    others = [one for one in observation.evidence if not isinstance(one, Mask)]
+    ideal = [found for mask in masks if (found := mask.undistorted(camera)) is not None]
+    box = observation.place
+    own, hiding = (None, []) if box is None or not ideal else of_vehicle(ideal, box, _LEAST_MASK_OVERLAP)
+    if own is None:
+        left_out = (*observation.left_out, "masks: left out, none of them is about where the vehicle is.")
+        return replace(observation, evidence=tuple(others), left_out=left_out)
+    return replace(observation, evidence=(*others, own, *(one.hiding for one in hiding)))
 
 
 def _as_observation(
@@ -306,14 +332,24 @@ def as_extra_factors(given: Sequence[gtsam.NonlinearFactor]) -> Sequence[gtsam.N
     return as_list("extra_factors", given, gtsam.NonlinearFactor)
 
 
-def evidence_of(given: Sequence[Evidence], camera: Camera) -> tuple[Evidence, ...]:
+def evidence_of(given: Sequence[Evidence], camera: Camera, *, of_all: bool = False) -> tuple[Evidence, ...]:
     """What other sensors say of the vehicles in a camera's image.
 
+    Args:
+        given: The evidence.
+        camera: The camera.
+        of_all: Whether it is about all vehicles of the image, and not of a single one.
+
     Raises:
-        InvalidInputError: It is no sequence of evidence, or points are in another frame or unit.
+        InvalidInputError: It is no sequence of evidence, points are in another frame or unit, or what can be of one
+            vehicle alone is given for all.
     """
     evidence = as_evidence(given) if given != () else ()
     for number, one in enumerate(evidence):
+        if isinstance(one, RangeRate) or (of_all and isinstance(one, Range)):
+            fix = "Give it with the vehicle, as `Observation(evidence=...)`"
+            fix += ", to a `Tracker`: an image tells no velocity." if isinstance(one, RangeRate) else "."
+            raise InvalidInputError(f"evidence[{number}]", one, fix)
         if isinstance(one, Points) and len(one.points):
             check_points(one.points, camera, f"evidence[{number}]")
     return evidence

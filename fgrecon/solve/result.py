@@ -43,7 +43,6 @@ from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 from fgrecon.solve.graph.optimise import Optimum
 from fgrecon.solve.graph.records import graph_factors, iterations
 from fgrecon.solve.pose_probability import facing_by_energies, with_probabilities
-from fgrecon.solve.proposals.point_term import PointTerm
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.solve_settings import STATUS
@@ -130,16 +129,17 @@ def results(
         structure = Deferred(lambda: graph_factors(graph, weights))
     found: list[Reconstruction] = []
     shapes: dict[int, Array] = {}
-    pictured = None  # what is known without points
-    if graph.points and known.marginals is not None and only is None:
-        pictured = marginals_of(graph, known.values, known.weights, points=False)
+    without: dict[str, gtsam.Marginals | Spread | None] = {}  # what is known without a kind of evidence
+    if known.marginals is not None and only is None:
+        for name in dict.fromkeys(one.name for one in graph.sensed):
+            without[name] = marginals_of(graph, known.values, known.weights, silent=name)
     for i, (part, start) in enumerate(zip(graph.observations, starts, strict=True)):
         if only is not None and i not in only:
             continue
         uncertainty = read_covariances(part, known.weights[i], known.values, known.marginals, shapes)
         end = _End(part, optimum, i, adjusted.alternatives[i], None if facing is None else facing[i], uncertainty)
         points, point_weights = graph.points_of(i)
-        gained = {} if uncertainty is None or not len(points) else _gained(part, uncertainty, pictured)
+        gained = {} if uncertainty is None else _gained(graph, i, uncertainty, without)
         diagnostics = {
             "energies": {} if failed else optimum.energies if single else part.energies(known.values, weights[i]),
             "history": pose_history(start, adjusted, i, single=single) if options.keep_history else (),
@@ -154,14 +154,18 @@ def results(
 
 
 def _gained(
-    part: ObservationPart, uncertainty: Covariances, pictured: gtsam.Marginals | Spread | None
+    graph: Graph, index: int, uncertainty: Covariances, without: Mapping[str, gtsam.Marginals | Spread | None]
 ) -> dict[str, float]:
-    """By how many times points make a position's standard deviation smaller; nothing where it has none without."""
-    assert part.pose_key is not None
-    before = covariance_of(pictured, part.pose_key)
-    if before is None:
-        return {}
-    return {PointTerm.name: float(np.sqrt(np.trace(before[3:, 3:]) / np.trace(uncertainty.pose[3:, 3:])))}
+    """By how many times each kind of evidence makes a position's standard deviation smaller.
+
+    Nothing of a kind that the observation has not, or where there is no covariance without it.
+    """
+    part, found = graph.observations[index], {}
+    for name in graph.names_of(index):
+        before = None if part.pose_key is None else covariance_of(without.get(name), part.pose_key)
+        if before is not None:
+            found[name] = float(np.sqrt(np.trace(before[3:, 3:]) / np.trace(uncertainty.pose[3:, 3:])))
+    return found
 
 
 def pose_history(

@@ -106,7 +106,7 @@ def reconstruct_scene(
         unsized = prepare(setup.prior, None, setup.options.shape.basis_vectors)
         each = as_boxes(boxes, len(observations), known, setup.prior)
         boxed = [None if box is None else KnownBox(box, errors, unsized) for box in each]
-    setup = replace(setup, evidence=evidence_of(evidence, known))
+    setup = replace(setup, evidence=evidence_of(evidence, known, of_all=True))
     return _reconstruct(_Images([observations], known, setup, as_extra_factors(extra_factors)), boxed)[0]
 
 

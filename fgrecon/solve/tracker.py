@@ -166,7 +166,7 @@ class Tracker:
         used, plane = calibrated("camera", Camera.of(camera)), as_ground(ground)
         place = None if world_T_camera is None else gtsam.Pose3(as_camera_pose(world_T_camera))
         moved = None if motion_covariance is None else as_motion_covariance(motion_covariance)
-        sensed = evidence_of(evidence, used)
+        sensed = evidence_of(evidence, used, of_all=True)
         with self._one_call:
             cameras = self._cameras_at(time, used, place)
             # Noise that grows with time must not vanish: frames of one time are a microsecond apart.

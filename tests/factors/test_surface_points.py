@@ -154,7 +154,7 @@ def test_points_bring_a_vehicle_to_its_place_and_size(rows: PointRows) -> None:
         factor.look(values)
         graph = gtsam.NonlinearFactorGraph()
         factor.tell(Form.MAJORISED)
-        graph.add(factor.factor)
+        graph.add(factor.factor())
         graph.add(gtsam.PriorFactorVector(L(0), np.zeros(2), gtsam.noiseModel.Isotropic.Sigma(2, 1.0)))
         graph.add(gtsam.PriorFactorPose3(X(0, 0), values.atPose3(X(0, 0)), gtsam.noiseModel.Isotropic.Sigma(6, 0.2)))
         values = values.retract(graph.linearize(values).optimize())
@@ -193,7 +193,7 @@ def test_the_compiled_rows_of_a_graph_are_those_of_the_callback(rows: PointRows,
     callback = SurfacePointsFactor(rows, X(0, 0), L(0), share=0.5)
     values = at(rows, CHANGE, np.array([0.3, -0.5]))
     callback.tell(form, 4.0)
-    factor = callback.factor
+    factor = callback.factor()
     if looked:
         callback.look(values)
     pose, coefficients = values.atPose3(X(0, 0)).matrix(), values.atVector(L(0))

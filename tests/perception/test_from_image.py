@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 
+from factors import X
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import orientation_error
@@ -152,3 +154,22 @@ def test_classes_of_boxes_or_of_their_detector_tell_sizes():
         priors(vehicle_detector=looking(()), classes="detected")
     with pytest.raises(InvalidInputError, match=r"vehicles\.classes.*1 for 2"):
         Vehicles(boxes, np.ones(2), classes=(van,))
+
+
+def test_factors_of_ones_own_are_about_the_box_by_its_number():
+    poses = [pose_at(0.7), pose_at(2.0, (-4.0, 1.6, 20.0))]
+    found = [detection(pose, np.full(14, 0.9), azimuth_of(pose)) for pose in poses]
+
+    def keypoints(image, boxes):
+        return [one.observation for one in found]
+
+    keypoints.category = "car14"
+    held = poses[1][:3, 3] + np.array([0.0, 0.0, 1.0])
+    noise = gtsam.noiseModel.Isotropic.Sigma(6, 1e-3)
+    factor = gtsam.PriorFactorPose3(X(1, 0), gtsam.Pose3(gtsam.Rot3(poses[1][:3, :3]), held), noise)
+    boxes, image = np.array([one.observation.box for one in found]), np.zeros((375, 1242, 3), np.uint8)
+    how = {"keypoint_detector": keypoints, "options": FAST, "extra_factors": [factor]}
+    vehicles = reconstruct_image(image, CAMERA, boxes, **how)
+    assert vehicles[1].result.location == pytest.approx(held, abs=0.02)
+    with pytest.raises(InvalidInputError, match=r"extra_factors.*together"):
+        reconstruct_image(image, CAMERA, boxes, together=False, **how)

@@ -111,7 +111,7 @@ def marginals_of(
     selected: Collection[int] | None = None,
     *,
     counted_once: bool = True,
-    points: bool = True,
+    silent: str | None = None,
 ) -> gtsam.Marginals | Spread | None:
     """What is known of a graph's variables at its minimum; None where it does not determine them.
 
@@ -122,9 +122,9 @@ def marginals_of(
         selected: Keys of the variables that are needed by one factorisation; None for all, of a large graph by
             `gtsam.Marginals`.
         counted_once: Whether sizes are (`Graph.for_covariances`).
-        points: Whether measured points say something.
+        silent: Name of what other sensors say that counts for nothing.
     """
-    system = graph.weighted(values, weights, points=points)
+    system = graph.weighted(values, weights, silent=silent)
     if selected is not None or system.is_one:
         return Spread.of(system.information(values, second=counted_once), system.places, selected)
     linear, _ = system.linearise(values, second=counted_once)

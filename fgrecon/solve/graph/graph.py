@@ -20,21 +20,19 @@ from numpy.typing import NDArray
 from factors import check_in_front
 from factors.keys import F, S, key_name
 from factors.mixture import Form
+from factors.sensed import SensedFactor
 from factors.surface_points import SurfacePointsFactor
 from factors.system import System
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
+from fgrecon.solve.graph.sensed_part import common_factor, sensed_of
 from fgrecon.solve.graph.vehicle_part import ShapeValues, Terms, VehiclePart, is_any_fleets, vehicle_part
-from fgrecon.solve.proposals.point_term import PointTerm
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.proposals.search_settings import SETTINGS as SEARCH
 
 __all__ = ["EXTRA", "Graph", "GraphObservation", "State", "Terms", "common_share"]
 
 Array = NDArray[np.float64]
-
-POINTS = SEARCH.points
 
 EXTRA = "extra"
 """Energy term of the caller's own factors."""
@@ -84,6 +82,7 @@ class Graph:
         observations: A part for each observation.
         vehicles: A part for each vehicle, by number.
         extra: The caller's own factors.
+        sensed: What other sensors say of all observations, matched anew by `reweigh`.
         options: Settings.
     """
 
@@ -138,8 +137,10 @@ class Graph:
                     focal_free=state.others.exists(F(one.image)),
                 )
             )
-        each = ((i, _points_of(part)) for i, part in enumerate(self.observations))
-        self._points = {i: found for i, found in each if found is not None}
+        each = [(i, found, found.factor()) for i, part in enumerate(self.observations) for found in sensed_of(part)]
+        self.sensed: list[SensedFactor] = [found for _, found, _ in each]
+        self._sensed_factors = [factor for _, _, factor in each]
+        self._sensed_by = [index for index, _, _ in each]
         self._own_keys = {part.pose_key for part in self.observations if part.pose_key is not None}
         self._own_keys |= {key for vehicle in self.vehicles.values() for key in vehicle.keys}
         keys = self._own_keys | set(state.others.keys())
@@ -189,15 +190,16 @@ class Graph:
             for part in self.observations:
                 check_in_front(part.kernel, values)
 
-    @property
-    def points(self) -> list[SurfacePointsFactor]:
-        """The measured points of all observations, matched anew by `reweigh`."""
-        return [*self._points.values()]
-
     def points_of(self, index: int) -> tuple[Array, Array]:
         """The measured points (M, 3) of an observation, and their weights (M,) where they were looked at last."""
-        found = self._points.get(index)
-        return (np.zeros((0, 3)), np.zeros(0)) if found is None else (found.rows.points, found.weights)
+        for one, by in zip(self.sensed, self._sensed_by, strict=True):
+            if by == index and isinstance(one, SurfacePointsFactor):
+                return one.rows.points, one.weights
+        return np.zeros((0, 3)), np.zeros(0)
+
+    def names_of(self, index: int) -> set[str]:
+        """Names of what other sensors say of an observation."""
+        return {one.name for one, by in zip(self.sensed, self._sensed_by, strict=True) if by == index}
 
     @property
     def is_robust(self) -> bool:
@@ -255,7 +257,7 @@ class Graph:
         """All factors of its variables, and as the other graph those with sizes counted once; made once."""
         if self._system is None:
             observed = [part.compiled or part.factor for part in self.observations if part.keys]
-            both = [*observed, *(points.factor for points in self.points), *self.extra]
+            both = [*observed, *self._sensed_factors, *self.extra]
             self._system = System([*both, *self._own], values, [*both, *self._counted_once])
         return self._system
 
@@ -272,8 +274,8 @@ class Graph:
                 part.see(weight, form)
             else:
                 part.tell(weight, form)
-        for points in self.points:
-            points.tell(form)
+        for one in self.sensed:
+            one.tell(form)
         self._told = weights, form
 
     def step(self, values: gtsam.Values, weights: Sequence[Weights], form: Form) -> tuple[Array, Callable[[], float]]:
@@ -300,9 +302,9 @@ class Graph:
         return self.system(values).error(values)
 
     def look(self, values: gtsam.Values, *, hold: bool = False) -> None:
-        """Match all measured points at the values, and weigh them; `hold` keeps what they are matched to."""
-        for points in self.points:
-            points.look(values, hold=hold)
+        """Match what other sensors say at the values, and weigh it; `hold` keeps what it is matched to."""
+        for one in self.sensed:
+            one.look(values, hold=hold)
 
     def build(self, weights: Sequence[Weights], form: Form = Form.WEIGHTED) -> gtsam.NonlinearFactorGraph:
         """All factors as GTSAM has them, with these weights until others are set.
@@ -311,17 +313,16 @@ class Graph:
             weights: Weights of each observation.
             form: How a mixture is handed to the solver: with these weights, or with its loss and curvature.
         """
-        points = [one.factor for one in self.points]
-        return self._built([*self._observed, *self._own, *points, *self.extra], weights, form)
+        return self._built([*self._observed, *self._own, *self._sensed_factors, *self.extra], weights, form)
 
     def _built(
-        self, factors: Iterable[gtsam.NonlinearFactor], weights: Sequence[Weights], form: Form, common: float = 1.0
+        self, factors: Iterable[gtsam.NonlinearFactor], weights: Sequence[Weights], form: Form, *, common: bool = False
     ) -> gtsam.NonlinearFactorGraph:
         self._told = None
         for part, weight in zip(self.observations, weights, strict=True):
             part.tell(weight, form)
-        for points in self.points:
-            points.tell(form, common)
+        for one in self.sensed:
+            one.tell(form, common_factor(one) if common else 1.0)
         graph = gtsam.NonlinearFactorGraph()
         for factor in factors:
             graph.add(factor)
@@ -329,20 +330,19 @@ class Graph:
 
     def for_covariances(self, weights: Sequence[Weights]) -> gtsam.NonlinearFactorGraph:
         """All factors with these weights, sizes counted once (`VehiclePart.counted_once`)."""
-        points = [one.factor for one in self.points]
-        every = [*self._observed, *self._counted_once, *points, *self.extra]
-        return self._built(every, weights, Form.WEIGHTED, POINTS.common_factor)
+        every = [*self._observed, *self._counted_once, *self._sensed_factors, *self.extra]
+        return self._built(every, weights, Form.WEIGHTED, common=True)
 
-    def weighted(self, values: gtsam.Values, weights: Sequence[Weights], *, points: bool = True) -> System:
+    def weighted(self, values: gtsam.Values, weights: Sequence[Weights], *, silent: str | None = None) -> System:
         """The factors with these weights until others are set; the other graph is that of `for_covariances`.
 
-        Without `points` the measured ones say nothing.
+        What other sensors say by the `silent` name counts for nothing.
         """
         self._told = None
         for part, weight in zip(self.observations, weights, strict=True):
             part.tell(weight, Form.WEIGHTED)
-        for one in self.points:
-            one.tell(Form.WEIGHTED, POINTS.common_factor if points else math.inf)
+        for one in self.sensed:
+            one.tell(Form.WEIGHTED, math.inf if one.name == silent else common_factor(one))
         return self.system(values)
 
     def terms(self, weights: Sequence[Weights]) -> Iterator[tuple[str, list[gtsam.NonlinearFactor]]]:
@@ -351,8 +351,9 @@ class Graph:
             yield from part.terms(weight).items()
         for vehicle in self.vehicles.values():
             yield from vehicle.terms.items()
-        if self.points:
-            yield PointTerm.name, [points.factor for points in self.points]
+        for name in dict.fromkeys(one.name for one in self.sensed):
+            pairs = zip(self.sensed, self._sensed_factors, strict=True)
+            yield name, [factor for one, factor in pairs if one.name == name]
         if self.extra:
             yield EXTRA, self.extra
 
@@ -362,8 +363,8 @@ class Graph:
         for vehicle in self.vehicles.values():
             for name, energy in vehicle.energies(values):
                 energies[name] = energies.get(name, 0.0) + energy
-        if self.points:
-            energies[PointTerm.name] = sum(points.energy(values) for points in self.points)
+        for one in self.sensed:
+            energies[one.name] = energies.get(one.name, 0.0) + one.energy(values)
         if self.extra:
             energies[EXTRA] = sum(factor.error(values) for factor in self.extra)
         return energies
@@ -375,14 +376,3 @@ class Graph:
             for name, energy in part.energies(values, weight).items():
                 total[name] = total.get(name, 0.0) + energy
         return total | self.own_energies(values)
-
-
-def _points_of(part: ObservationPart) -> SurfacePointsFactor | None:
-    """The measured points of an observation; None where there are none, or pose and shape are constants."""
-    term, shape = part.problem.energy.points, part.vehicle.shape
-    if term is None or not (part.pose_key is not None or shape.coefficients_key is not None):
-        return None
-    none = gtsam.Values()
-    pose = part.kernel.pose(none) if part.pose_key is None else part.pose_key
-    coefficients = shape.coefficients(none) if shape.coefficients_key is None else shape.coefficients_key
-    return SurfacePointsFactor(term.rows, pose, coefficients, part.share)

@@ -130,6 +130,11 @@ class ObservationPart:
             at = packed_pose(pose.matrix()) if self.pose_key is None else self.pose_key
             self.compiled = CompiledRows(image, (at, *vehicle.shape.bound))
 
+    @property
+    def has_free_focal(self) -> bool:
+        """Whether the focal length is a variable."""
+        return self._focal_key is not None
+
     @cached_property
     def kernel(self) -> ProjectionKernel:
         """Projection of the keypoints."""

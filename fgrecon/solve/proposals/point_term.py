@@ -99,7 +99,7 @@ def _patches(prior: ShapePrior) -> SurfacePatches:
 
 def _about(points: Array, observation: Observation, camera: Camera) -> NDArray[np.intp]:
     """Indices of the points (N, 3) about where a vehicle must be, thinned to one a cell."""
-    box = _extent(observation)
+    box = observation.place
     if box is None:
         return np.zeros(0, dtype=np.intp)
     size = box[2:] - box[:2]
@@ -118,13 +118,3 @@ def _about(points: Array, observation: Observation, camera: Camera) -> NDArray[n
     cells = np.floor(points[index] / POINTS.cell_m).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     return index[np.sort(first)]
-
-
-def _extent(observation: Observation) -> Array | None:
-    """(4,) the box, or that around the keypoints; None where neither is there."""
-    if observation.box is not None:
-        return observation.box
-    points = observation.keypoints[observation.measured]
-    if len(points) < 2 or np.ptp(points, axis=0).min() < 1.0:
-        return None
-    return np.concatenate([points.min(axis=0), points.max(axis=0)])

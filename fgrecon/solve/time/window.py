@@ -29,7 +29,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.keys import V, X, decode_key
+from factors.vehicle_range import range_rate_factor
 from fgrecon.core.category import MotionModel
+from fgrecon.core.evidence import RangeRate
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.solve.graph.covariance import Spread, joint_covariance, marginals_of
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State, common_share
@@ -223,10 +225,44 @@ def _motion_factors(
         assert after.step is not None
         seconds = min(after.step.seconds, SETTINGS.longest_velocity_s)
         found += velocity_terms(frame.number, seconds, model, known=known, share=share, stands=stands)
+    found += _range_rates(frames, over_world)
     for before, frame in pairwise(frames):
         if extra is not None and frame.step is not None:
             found += extra(before.number, frame.number, frame.step.seconds, motion_share**-0.5)
     return found
+
+
+def _range_rates(frames: Sequence[Frame], over_world: Sequence[bool]) -> list[gtsam.NonlinearFactor]:
+    """The factors of range rates; none of a rate over the ground where velocities are relative to the camera."""
+    found: list[gtsam.NonlinearFactor] = []
+    for i, (frame, known) in enumerate(zip(frames, over_world, strict=True)):
+        model = frame.problem.model
+        middle = np.array([0.0, -model.dimension_mean[2] / 2.0, 0.0])
+        for one in frame.problem.observation.evidence:
+            if not isinstance(one, RangeRate) or (one.over_ground and not known):
+                continue
+            moves = known and not one.over_ground
+            sensor = _sensor_velocity([*frames[i:0:-1], *frames[i + 1 :]], one.origin) if moves else np.zeros(3)
+            if sensor is not None:
+                keys = X(0, frame.number), V(0, frame.number)
+                found.append(range_rate_factor(keys, one.metres_per_second, one.sigma, one.origin, middle, sensor))
+    return found
+
+
+def _sensor_velocity(frames: Sequence[Frame], origin: Array) -> Array | None:
+    """(3,) velocity over the world, in the camera's axes, of what is at (3,) there; None where no step tells it.
+
+    Args:
+        frames: Those whose steps are looked at, the nearest first.
+        origin: In the camera's frame.
+    """
+    for frame in frames:
+        step = frame.step
+        if step is not None and step.camera is not None and not step.simultaneous:
+            twist = gtsam.Pose3.Logmap(step.camera) / step.seconds
+            velocity: Array = twist[3:] + np.cross(twist[:3], origin)
+            return velocity
+    return None
 
 
 def velocity_covariances(solved: WindowSolve, frames: Sequence[Frame]) -> list[Array | None]:
