@@ -1,6 +1,7 @@
 """What the README shows is true: its Python works, its pictures are small, `.ci/run` finds its test command."""
 
 import re
+import tomllib
 
 import numpy as np
 import pytest
@@ -42,7 +43,12 @@ def test_two_commands_do_all_the_set_up():
 
 
 def test_it_is_short():
-    assert len(README.splitlines()) <= 140
+    assert len(README.split()) <= 700
+
+
+def test_the_citation_has_the_version():
+    version = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert f"\nversion: {version}\n" in (REPOSITORY / "CITATION.cff").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", ["demo.jpg", "demo.gif", "recording.png"])

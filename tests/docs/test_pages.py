@@ -121,3 +121,8 @@ def test_a_folder_of_results_has_one_content():
                 filled.setdefault(name, set()).add(("python", block))
     assert {"sized", "solved", "followed", "tracked"} <= set(filled)
     assert {name: told for name, told in filled.items() if len(told) > 1} == {}
+
+
+@pytest.mark.parametrize("page", sorted((REPOSITORY / "docs/how-to").glob("*.md")), ids=name_of)
+def test_a_guide_is_one_task(page):
+    assert len(page.read_text(encoding="utf-8").split()) <= 400
