@@ -123,3 +123,99 @@ def test_what_is_malformed_is_named(tmp_path):
         path.write_text(text)
         with pytest.raises(InvalidInputError, match=message):
             read_any_keypoints(path, CATEGORY)
+
+
+def openlabel(*, visible=True):
+    """As vcd writes it: boxes by their centres, objects by numbers as texts."""
+    x1, y1, x2, y2 = BOX.tolist()
+    points = [
+        {"name": NAMES[i], "val": POINTS[i].tolist(), "attributes": {"boolean": [{"name": "visible", "val": visible}]}}
+        for i in THERE
+    ]
+    box = {"name": "shape", "val": [(x1 + x2) / 2, (y1 + y2) / 2, x2 - x1, y2 - y1]}
+    frame = {"objects": {"0": {"object_data": {"bbox": [box], "point2d": points}}, "1": {}}}
+    streams = {"camera": {"description": "", "uri": "a/street.png", "type": "camera"}}
+    objects = {"0": {"name": "7", "type": "Car"}, "1": {"name": "none", "type": "Van"}}
+    return {"openlabel": {"frames": {"3": frame}, "objects": objects, "streams": streams}}
+
+
+def scalabel(*, visible=True):
+    nodes = [
+        {"id": str(i), "category": NAMES[i], "location": POINTS[i].tolist(), "visibility": "V" if visible else "N"}
+        for i in THERE
+    ]
+    box = dict(zip(("x1", "y1", "x2", "y2"), BOX.tolist(), strict=True))
+    label = {"id": "7", "category": "Car", "box2d": box, "graph": {"nodes": nodes, "edges": []}}
+    return {"frames": [{"name": "street.png", "labels": [label, {"id": "8", "box2d": None, "graph": None}]}]}
+
+
+def datumaro(*, visible=True):
+    x1, y1, x2, y2 = BOX.tolist()
+    seen = [(2 if visible else 1) if i in THERE else 0 for i in range(len(NAMES))]
+    values = np.nan_to_num(POINTS).ravel().tolist()
+    points = {"type": "points", "label_id": 0, "group": 4, "points": values, "visibility": seen}
+    box = {"type": "bbox", "label_id": 0, "group": 4, "bbox": [x1, y1, x2 - x1, y2 - y1]}
+    of_points = {"items": [{"label_id": 0, "labels": list(NAMES)}]}
+    categories = {"label": {"labels": [{"name": "Car"}]}, "points": of_points}
+    return {"categories": categories, "items": [{"id": "street", "annotations": [points, box], **DATUMARO_IMAGE}]}
+
+
+DATUMARO_IMAGE = {"image": {"path": "street.png", "size": [HEIGHT, WIDTH]}}
+
+
+@pytest.mark.parametrize("made", [openlabel, scalabel, datumaro])
+@pytest.mark.parametrize("visible", [True, False])
+def test_a_vehicle_of_each_format_of_labels(tmp_path, made, visible):
+    path = tmp_path / "labels.json"
+    path.write_text(json.dumps(made(visible=visible)))
+    (vehicle,) = read_any_keypoints(path, CATEGORY).instances
+    check(vehicle, confidence=None if visible else vehicle.observation.confidence_midpoint)
+
+
+def supervisely():
+    """Whose points are whole pixels, as the tool rounds them."""
+    nodes = {NAMES[i]: {"loc": POINTS[i].round().tolist()} for i in THERE}
+    nodes |= {NAMES[i]: {"loc": [0, 0], "disabled": True} for i in MISSING}
+    x1, y1, x2, y2 = BOX.tolist()
+    graph = {"classTitle": "Car", "geometryType": "graph", "nodes": nodes, "instance": "k"}
+    points = {"exterior": [[x2, y2], [x1, y1]], "interior": []}
+    box = {"classTitle": "Car", "geometryType": "rectangle", "points": points, "instance": "k"}
+    return {"size": {"width": WIDTH, "height": HEIGHT}, "objects": [graph, box]}
+
+
+def test_a_graph_of_supervisely_has_the_box_of_its_instance():
+    (vehicle,) = fgrecon.keypoints_from(supervisely())
+    assert np.abs(vehicle.observation.keypoints[THERE] - POINTS[THERE].round()).max() == 0
+    assert np.abs(vehicle.observation.box - BOX).max() < 1e-9
+    assert np.flatnonzero(vehicle.observation.measured).tolist() == THERE
+
+
+@pytest.mark.parametrize(
+    ("made", "change", "message"),
+    [
+        (
+            openlabel,
+            lambda d: d["openlabel"]["frames"]["3"]["objects"]["0"]["object_data"]["point2d"][0].pop("val"),
+            r"frames\.3\.objects\.0\.object_data\.point2d\.val",
+        ),
+        (
+            openlabel,
+            lambda d: d["openlabel"]["frames"]["3"]["objects"]["0"]["object_data"]["bbox"][0].update(val=[1]),
+            r"object_data\.bbox\.val",
+        ),
+        (
+            scalabel,
+            lambda d: d["frames"][0]["labels"][0]["graph"]["nodes"][0].update(location="x"),
+            r"frames\[0\]\.labels\[0\]\.graph\.nodes\.location",
+        ),
+        (scalabel, lambda d: d["frames"][0]["labels"][0]["box2d"].pop("y1"), r"labels\[0\]\.box2d\.y1"),
+        (datumaro, lambda d: d["items"][0]["annotations"][0].update(label_id=5), r"annotations\[0\]\.label_id"),
+        (datumaro, lambda d: d["items"][0]["annotations"][0]["points"].pop(), r"annotations\[0\]\.points"),
+        (supervisely, lambda d: d["objects"][0]["nodes"][NAMES[0]].update(loc=[1]), r"objects\[0\]\.nodes\."),
+    ],
+)
+def test_what_is_malformed_in_labels_is_named(made, change, message):
+    content = made()
+    change(content)
+    with pytest.raises(InvalidInputError, match=message):
+        fgrecon.keypoints_from(content)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.export.annotation_files import cvat_text, label_studio_text, scalabel_text
 from fgrecon.io.export.camera_path import kitti_poses_text, tum_text
 from fgrecon.io.export.dataset_results import coco_results_text, kitti_text
 from fgrecon.io.export.image_info import ImageInfo
@@ -34,6 +35,9 @@ _WRITERS: dict[str, Callable[[Sequence[NamedResult], Images], bytes]] = {
     "openlabel": lambda results, images: openlabel_text(results, images).encode(),
     "tum": lambda _, images: tum_text(images).encode(),
     "kitti_poses": lambda _, images: kitti_poses_text(images).encode(),
+    "cvat": lambda results, images: cvat_text(results, images).encode(),
+    "label_studio": lambda results, images: label_studio_text(results, images).encode(),
+    "scalabel": lambda results, images: scalabel_text(results, images).encode(),
     "coco": lambda results, images: coco_results_text(results, images).encode(),
     "foxglove": scene_bytes,
     "vision_msgs": detections_bytes,
@@ -46,8 +50,9 @@ KINDS = tuple(_WRITERS)
 _ENDINGS: dict[str, tuple[str, ...]] = {
     **{kind: (kind,) for kind in ("ply", "glb", "csv", "parquet")},
     "txt": ("kitti", "tum", "kitti_poses"),
-    "json": ("nuscenes", "nuscenes_tracking", "coco", "cityscapes3d", "openlabel"),
+    "json": ("nuscenes", "nuscenes_tracking", "coco", "cityscapes3d", "openlabel", "label_studio", "scalabel"),
     "feather": ("argoverse2",),
+    "xml": ("cvat",),
     "mcap": ("foxglove", "vision_msgs", "ros2"),
 }
 
@@ -93,7 +98,8 @@ def export(
     Args:
         path: `.ply` or `.glb`: surfaces and wireframes in the camera frame; `.csv` or `.parquet`: one row per vehicle;
             `.txt`: KITTI's result lines of one image, or poses of the camera; `.json`: results for nuScenes, COCO or
-            Cityscapes 3D, or OpenLABEL; `.feather`: Argoverse 2's detections; `.mcap`: Foxglove's or ROS 2's messages.
+            Cityscapes 3D, OpenLABEL, Label Studio or scalabel; `.xml`: CVAT; `.feather`: Argoverse 2's detections;
+            `.mcap`: Foxglove's or ROS 2's messages.
         results: Vehicles; those without a pose are left out, except in tables.
         kind: One of `KINDS`, where the ending stands for several.
         images: What is known of their images (`fgrecon.io.export.image_info`), for all but meshes, tables and KITTI.

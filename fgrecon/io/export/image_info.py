@@ -202,6 +202,16 @@ def image_box(item: NamedResult) -> Array:
     return box
 
 
+def keypoint_names(item: NamedResult) -> tuple[str, ...]:
+    """Names of the keypoints; their places in the order where the category is not to be found."""
+    from fgrecon.io.catalogue import load_category
+
+    try:
+        return load_category(item.result.shape.category).keypoints
+    except InvalidInputError:
+        return tuple(str(number) for number in range(len(item.result.shape.wireframe)))
+
+
 def quaternion(rotation: Array) -> tuple[float, float, float, float]:
     """(x, y, z, w) of a rotation (3, 3), w not negative."""
     from scipy.spatial.transform import Rotation

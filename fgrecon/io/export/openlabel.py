@@ -12,8 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, image_box, info_of, quaternion, score
+from fgrecon.io.export.image_info import (
+    ImageInfo,
+    box_in,
+    by_image,
+    image_box,
+    info_of,
+    keypoint_names,
+    quaternion,
+    score,
+)
 from fgrecon.io.export.results import NamedResult
 
 _VISIBLE = 0.5
@@ -79,7 +87,7 @@ def _data(item: NamedResult, info: ImageInfo) -> dict[str, Any]:
             "coordinate_system": CAMERA,
             "attributes": {"boolean": [{"name": "visible", "val": bool(seen)}]},
         }
-        for name, pixel, seen in zip(_names(item), result.pose.wireframe_uv.tolist(), visible, strict=True)
+        for name, pixel, seen in zip(keypoint_names(item), result.pose.wireframe_uv.tolist(), visible, strict=True)
     ]
     box = [*((low + high) / 2.0).tolist(), *(high - low).tolist()]
     return {
@@ -88,16 +96,6 @@ def _data(item: NamedResult, info: ImageInfo) -> dict[str, Any]:
         "point2d": points,
         "num": [{"name": "confidence", "val": float(score(item))}],
     }
-
-
-def _names(item: NamedResult) -> tuple[str, ...]:
-    """Names of the keypoints; their places in the order where the category is not to be found."""
-    from fgrecon.io.catalogue import load_category
-
-    try:
-        return load_category(item.result.shape.category).keypoints
-    except InvalidInputError:
-        return tuple(str(number) for number in range(len(item.result.shape.wireframe)))
 
 
 def _intervals(numbers: Sequence[int]) -> list[dict[str, int]]:

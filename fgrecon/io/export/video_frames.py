@@ -20,7 +20,17 @@ _FILE = "frames.jsonl"
 _FORMAT = "fgrecon.video-frame/1"
 _OF_IMAGES = frozenset(
     [
-        *("nuscenes", "nuscenes_tracking", "argoverse2", "openlabel", "coco", "foxglove", "vision_msgs", "ros2"),
+        *(
+            "nuscenes",
+            "nuscenes_tracking",
+            "argoverse2",
+            "openlabel",
+            "cvat",
+            "coco",
+            "foxglove",
+            "vision_msgs",
+            "ros2",
+        ),
         "tum",
         "kitti_poses",
     ]

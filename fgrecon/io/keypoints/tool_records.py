@@ -6,6 +6,7 @@
 | labelme | shapes of one `group_id`; else all without one | shapes `point`, by their labels |
 | CVAT | a skeleton; or points and a box of one `group_id` | by their labels, but for those outside |
 
+OpenLABEL's and others' are in `label_records`.
 A box of Label Studio that is turned is the one around it. A point that is hidden (`occluded` of CVAT) is as likely
 right as wrong.
 """
@@ -22,6 +23,7 @@ from xml.etree import ElementTree as ET
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.io.json_fields import Fields
+from fgrecon.io.keypoints.label_records import label_reader
 
 Record = dict[str, Any]
 _Records = Iterator[tuple[Record | InvalidInputError, str]]
@@ -29,9 +31,9 @@ _HUNDRED = 100.0  # Label Studio's unit is a hundredth of the image
 
 
 def is_tool_file(data: Any) -> bool:
-    """Whether the content of a JSON file is Label Studio's tasks or labelme's."""
+    """Whether the content of a JSON file is that of an annotation tool."""
     if isinstance(data, Mapping):
-        return isinstance(data.get("shapes"), list) and "imagePath" in data
+        return label_reader(data) is not None or (isinstance(data.get("shapes"), list) and "imagePath" in data)
     return isinstance(data, list) and bool(data) and all(_is_task(item) for item in data)
 
 
@@ -49,7 +51,9 @@ def tool_records(data: Any, where: str) -> _Records:
     Raises:
         InvalidInputError: The file's frame is malformed; names the field.
     """
-    return _labelme(Fields(data, where)) if isinstance(data, Mapping) else _label_studio(data, where)
+    if isinstance(data, Mapping):
+        return (label_reader(data) or _labelme)(Fields(data, where))
+    return _label_studio(data, where)
 
 
 def _label_studio(tasks: Sequence[Any], where: str) -> _Records:

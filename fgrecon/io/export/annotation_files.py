@@ -1,0 +1,223 @@
+"""Results as files of annotation tools, for people to correct: CVAT, Label Studio, scalabel.
+
+| kind | 2D box | keypoints | 3D box |
+|---|---|---|---|
+| `cvat` | `box` | a `skeleton`; `occluded` where hidden | `cuboid`: pixels of front (1), rear (2); if all are ahead |
+| `label_studio` | `rectanglelabels` | `keypointlabels` with the rectangle as parent | - |
+| `scalabel` | `box2d` | a `graph`; `visibility` N where hidden | `box3d` in the camera's frame, by its centre |
+
+What belongs to a vehicle has its number as `group_id` in CVAT. Of Label Studio and scalabel the size of the images must
+be known, by the results' camera.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.box3d import box_corners
+from fgrecon.core.camera import MIN_DEPTH, Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import transform
+from fgrecon.io.export.image_info import ImageInfo, by_image, image_box, info_of, keypoint_names, score
+from fgrecon.io.export.results import NamedResult
+
+Array = NDArray[np.float64]
+
+_VISIBLE = 0.5
+_CVAT_CORNERS = ("tl1", "bl1", "tr1", "br1", "tl2", "bl2", "tr2", "br2")
+_CVAT_ORDER = (7, 5, 6, 4, 3, 1, 2, 0)
+"""Of `box_corners` (rear before front, bottom before top, right before left); left and right are the vehicle's."""
+_HUNDRED = 100.0  # Label Studio's unit is a hundredth of the image
+
+
+def cvat_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
+    """CVAT's XML for images, version 1.1."""
+    root = ET.Element("annotations")
+    ET.SubElement(root, "version").text = "1.1"
+    labels = ET.SubElement(ET.SubElement(ET.SubElement(root, "meta"), "task"), "labels")
+    solved = [item for item in results if item.solved]
+    kinds = dict.fromkeys(item.kind or "Car" for item in solved)
+    for name in dict.fromkeys([*kinds, *(name for item in solved for name in keypoint_names(item))]):
+        label = ET.SubElement(labels, "label")
+        ET.SubElement(label, "name").text = name
+        ET.SubElement(label, "type").text = "any" if name in kinds else "points"
+        ET.SubElement(label, "attributes")
+    for number, (name, items) in enumerate(by_image(results).items()):
+        size = _size(items)
+        wide = {} if size is None else {"width": str(size[0]), "height": str(size[1])}
+        known = info_of(name, images).image_id
+        key = str(known if isinstance(known, int) else number)
+        image = ET.SubElement(root, "image", {"id": key, "name": name, **wide})
+        for group, item in enumerate(items, start=1):
+            _cvat_shapes(image, item, str(group))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _cvat_shapes(image: ET.Element, item: NamedResult, group: str) -> None:
+    shared = {"label": item.kind or "Car", "source": "auto", "z_order": "0", "group_id": group}
+    skeleton = ET.SubElement(image, "skeleton", shared)
+    for name, uv, seen in _points(item):
+        u, v = uv.tolist()
+        place = {"points": f"{u!r},{v!r}", "outside": "0", "occluded": str(int(not seen))}
+        ET.SubElement(skeleton, "points", {"label": name, "source": "auto", **place})
+    box = dict(zip(("xtl", "ytl", "xbr", "ybr"), map(repr, image_box(item).tolist()), strict=True))
+    ET.SubElement(image, "box", {**shared, "occluded": "0", **box})
+    pixels = _corner_pixels(item)
+    if pixels is not None:
+        ends = dict(zip(_CVAT_CORNERS, pixels[list(_CVAT_ORDER)].tolist(), strict=True))
+        placed = {f"{axis}{end}": repr(uv[i]) for end, uv in ends.items() for i, axis in enumerate("xy")}
+        ET.SubElement(image, "cuboid", {**shared, "occluded": "0", **placed})
+
+
+def label_studio_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:  # noqa: ARG001 - as all
+    """Label Studio's tasks with predictions, for the controls `box` and `keypoint` of an image.
+
+    Raises:
+        InvalidInputError: The size of an image is not known.
+    """
+    tasks = []
+    for number, (name, items) in enumerate(by_image(results).items(), start=1):
+        size = _known_size(name, items)
+        regions = [region for item in items for region in _label_studio_regions(item, size)]
+        scores = [score(item) for item in items]
+        made = {"id": number, "result": regions, "score": float(np.mean(scores)), "model_version": "fgrecon"}
+        tasks.append({"id": number, "data": {"image": name}, "annotations": [], "predictions": [made]})
+    return json.dumps(tasks, allow_nan=False) + "\n"
+
+
+def _label_studio_regions(item: NamedResult, size: tuple[int, int]) -> list[dict[str, Any]]:
+    unit = _HUNDRED / np.array(size)
+    shared: dict[str, Any] = {
+        "to_name": "image",
+        "image_rotation": 0,
+        "original_width": size[0],
+        "original_height": size[1],
+    }
+    low, high = image_box(item)[:2] * unit, image_box(item)[2:] * unit
+    extent = dict(zip(("width", "height"), (high - low).tolist(), strict=True))
+    place = dict(zip("xy", low.tolist(), strict=True)) | extent | {"rotation": 0}
+    box: dict[str, Any] = {
+        "id": item.name,
+        "type": "rectanglelabels",
+        "from_name": "box",
+        "score": score(item),
+        "value": {**place, "rectanglelabels": [item.kind or "Car"]},
+    }
+    points: list[dict[str, Any]] = [
+        {
+            "id": f"{item.name}-{name}",
+            "type": "keypointlabels",
+            "from_name": "keypoint",
+            "parentID": item.name,
+            "value": {**dict(zip("xy", (uv * unit).tolist(), strict=True)), "width": 0.5, "keypointlabels": [name]},
+        }
+        for name, uv, _ in _points(item)
+    ]
+    return [shared | region for region in [box, *points]]
+
+
+def scalabel_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
+    """Scalabel's frames, as BDD100K's; of a camera with a lens the graph and the box are in the image, as all pixels.
+
+    Raises:
+        InvalidInputError: The size of an image is not known.
+    """
+    frames = []
+    for number, (name, items) in enumerate(by_image(results).items()):
+        width, height = _known_size(name, items)
+        time = info_of(name, images).timestamp
+        frames.append(
+            {
+                "name": name,
+                "url": None,
+                "videoName": None,
+                "frameIndex": number,
+                "intrinsics": _intrinsics(items),
+                "size": {"width": width, "height": height},
+                **({} if time is None else {"timestamp": round(1000.0 * time)}),
+                "labels": [_scalabel_label(item) for item in items],
+            }
+        )
+    kinds = dict.fromkeys(item.kind or "Car" for item in results if item.solved)
+    categories = [{"name": kind, "subcategories": None, "color": None} for kind in kinds]
+    config = {"categories": categories, "imageSize": None, "attributes": None, "poseSigmas": None}
+    return json.dumps({"frames": frames, "groups": None, "config": config}, allow_nan=False) + "\n"
+
+
+def _scalabel_label(item: NamedResult) -> dict[str, Any]:
+    from scipy.spatial.transform import Rotation
+
+    result = item.result
+    length, width, height = result.box_size.tolist()
+    pose = result.camera_T_object
+    # Its library turns about the camera's y axis, then z, then x.
+    about_y, about_z, about_x = Rotation.from_matrix(pose[:3, :3]).as_euler("yzx").tolist()
+    x, _, z = pose[:3, 3]
+    nodes = [
+        {"id": name, "category": name, "location": uv.tolist(), "visibility": "V" if seen else "N", "type": "keypoint"}
+        for name, uv, seen in _points(item)
+    ]
+    names = keypoint_names(item)
+    edges = [{"source": names[a], "target": names[b]} for a, b in result.shape.edges.tolist()]
+    return {
+        "id": item.name,
+        "category": item.kind or "Car",
+        "score": score(item),
+        "poly2d": None,
+        "rle": None,
+        "box2d": dict(zip(("x1", "y1", "x2", "y2"), image_box(item).tolist(), strict=True)),
+        "box3d": {
+            "alpha": float(about_y - np.arctan2(x, z)),
+            "orientation": [about_x, about_y, about_z],
+            "location": (pose[:3, 3] - pose[:3, 1] * height / 2.0).tolist(),
+            "dimension": [height, width, length],
+        },
+        "graph": {"nodes": nodes, "edges": edges, "type": "Pose2D"},
+    }
+
+
+def _intrinsics(items: Sequence[NamedResult]) -> dict[str, Any] | None:
+    camera = _camera(items)
+    if camera is None:
+        return None
+    (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
+    k1, k2, p1, p2, k3 = [*([] if camera.distortion is None else camera.distortion.tolist()), *[0.0] * 5][:5]
+    return {"focal": [fx, fy], "center": [cx, cy], "skew": skew, "radial": [k1, k2, k3], "tangential": [p1, p2]}
+
+
+def _points(item: NamedResult) -> list[tuple[str, Array, bool]]:
+    """Names, pixels and whether they are probably seen, of the keypoints."""
+    visible = (item.result.diagnostics.visibility >= _VISIBLE).tolist()
+    return list(zip(keypoint_names(item), item.result.pose.wireframe_uv, visible, strict=True))
+
+
+def _camera(items: Sequence[NamedResult]) -> Camera | None:
+    return next((item.camera for item in items if item.camera is not None), None)
+
+
+def _size(items: Sequence[NamedResult]) -> tuple[int, int] | None:
+    camera = _camera(items)
+    return None if camera is None else camera.image_size
+
+
+def _known_size(name: str, items: Sequence[NamedResult]) -> tuple[int, int]:
+    size = _size(items)
+    if size is None:
+        fix = "Give results whose camera knows the size of its images (`image_size`), or another --format."
+        raise InvalidInputError("results", f"an image of unknown size, {name}", fix)
+    return size
+
+
+def _corner_pixels(item: NamedResult) -> Array | None:
+    """(8, 2) pixels of the box's corners; None without a camera, or where one is behind it."""
+    corners = transform(item.result.camera_T_object, box_corners(item.result.box_size))
+    if item.camera is None or not (corners[:, 2] >= MIN_DEPTH).all():
+        return None
+    return item.camera.distort(item.camera.project(corners))

@@ -1,0 +1,181 @@
+"""Instances of files of labels: OpenLABEL, scalabel (and BDD100K), Supervisely, datumaro.
+
+| from | a vehicle is | its points | hidden |
+|---|---|---|---|
+| OpenLABEL | an object of a frame with `point2d` | by their names | the boolean `visible` is false |
+| scalabel | a label with a `graph` | the `category` of its nodes | `visibility` is N |
+| Supervisely | a graph; its rectangle has the same `instance` | by the names of the nodes, but for disabled ones | - |
+| datumaro | `points`; their `bbox` has the same group | by the categories of their label | visibility 1; 0 is none |
+
+Boxes are corners in pixels; OpenLABEL's is told by its centre, datumaro's by its corner and size. A point that is
+hidden is as likely right as wrong.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.io.json_fields import Fields
+
+Record = dict[str, Any]
+Records = Iterator[tuple[Record | InvalidInputError, str]]
+
+_HIDDEN = Observation.confidence_midpoint
+
+
+def label_reader(data: Any) -> Callable[[Fields], Records] | None:
+    """What reads the content of a JSON file of one of these kinds; None for others."""
+    if not isinstance(data, Mapping):
+        return None
+    if isinstance(data.get("openlabel"), Mapping):
+        return _openlabel
+    if isinstance(data.get("items"), list) and isinstance(data.get("categories"), Mapping):
+        return _datumaro
+    if isinstance(data.get("objects"), list) and isinstance(data.get("size"), Mapping):
+        return _supervisely
+    frames = data.get("frames")
+    return _scalabel if isinstance(frames, list) and any("labels" in f for f in frames if _is_map(f)) else None
+
+
+def _is_map(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _each(items: Mapping[Any, Any], make: Callable[[Any, Any], Record | None], where: str) -> Records:
+    """The records of items that have points; one that is malformed is its error."""
+    for key, item in items.items():
+        try:
+            record = make(key, item)
+        except InvalidInputError as error:
+            yield error, where
+            continue
+        if record is not None and record["keypoints"]:
+            yield record, where
+
+
+def _openlabel(fields: Fields) -> Records:
+    content = Fields(fields.get("openlabel", dict), f"{fields.where}openlabel.")
+    objects, streams = (content.data.get(name) or {} for name in ("objects", "streams"))
+    frames = content.data.get("frames") or {"": {"objects": objects}}
+    for number, frame in frames.items():
+        where = f"{content.where}frames.{number}." if number else content.where
+        shown = Fields(frame, where)
+        properties = shown.data.get("frame_properties") or {}
+        uris = [one.get("uri") for one in [*(properties.get("streams") or {}).values(), *streams.values()] if one]
+        image = next(({"image": str(uri).rsplit("/", 1)[-1]} for uri in uris if uri), {})
+
+        def made(key: str, item: Any, where: str = where, number: str = number, image: Record = image) -> Record | None:
+            place = f"{where}objects.{key}."
+            data = Fields(Fields(item or {}, place).data.get("object_data") or {}, f"{place}object_data.")
+            points = dict(_openlabel_point(one, data.where) for one in data.data.get("point2d") or ())
+            kind = Fields(objects.get(key) or {}, place).data.get("type") or "Car"
+            record: Record = {"id": f"{number}:{key}" if number else key, "keypoints": points, "kind": _word(kind)}
+            for one in (data.data.get("bbox") or ())[:1]:
+                u, v, width, height = Fields(one, f"{data.where}bbox.").numbers("val", (4,)).tolist()
+                record["box"] = [u - width / 2, v - height / 2, u + width / 2, v + height / 2]
+            return record | image
+
+        yield from _each(shown.data.get("objects") or {}, made, where)
+
+
+def _openlabel_point(item: Any, where: str) -> tuple[str, list[float]]:
+    point = Fields(item, f"{where}point2d.")
+    flags = (point.data.get("attributes") or {}).get("boolean") or ()
+    hidden = any(flag.get("name") == "visible" and flag.get("val") is False for flag in flags)
+    return point.get("name", str), [*point.numbers("val", (2,)).tolist(), _HIDDEN if hidden else 1.0]
+
+
+def _scalabel(fields: Fields) -> Records:
+    for number, item in enumerate(fields.get("frames", list)):
+        frame = Fields(item, f"{fields.where}frames[{number}].")
+        image = str(frame.data.get("name", "")).rsplit("/", 1)[-1]
+
+        def made(key: int, item: Any, frame: Fields = frame, image: str = image) -> Record | None:
+            label = Fields(item, f"{frame.where}labels[{key}].")
+            graph = Fields(label.data.get("graph") or {}, f"{label.where}graph.")
+            nodes = [Fields(node, f"{graph.where}nodes.") for node in graph.data.get("nodes") or ()]
+            record: Record = {"id": f"{image}:{label.data.get('id', key)}", "image": image}
+            record["keypoints"] = {
+                node.get("category", str): [
+                    *node.numbers("location", (2,)).tolist(),
+                    _HIDDEN if node.data.get("visibility") == "N" else 1.0,
+                ]
+                for node in nodes
+            }
+            record["kind"] = _word(label.data.get("category") or "Car")
+            if label.data.get("box2d") is not None:
+                box = Fields(label.get("box2d", dict), f"{label.where}box2d.")
+                record["box"] = [float(box.numbers(name, ())) for name in ("x1", "y1", "x2", "y2")]
+            return record
+
+        yield from _each(dict(enumerate(frame.data.get("labels") or ())), made, frame.where)
+
+
+def _supervisely(fields: Fields) -> Records:
+    found: dict[Any, list[Fields]] = defaultdict(list)
+    for number, item in enumerate(fields.get("objects", list)):
+        figure = Fields(item, f"{fields.where}objects[{number}].")
+        found[figure.data.get("instance") or f"figure {number}"].append(figure)
+
+    def made(key: Any, figures: list[Fields]) -> Record | None:
+        record: Record = {"id": key, "keypoints": {}}
+        for figure in figures:
+            if figure.data.get("geometryType") == "graph":
+                for name, item in figure.get("nodes", dict).items():
+                    node = Fields(item, f"{figure.where}nodes.{name}.")
+                    if not node.data.get("disabled"):
+                        record["keypoints"][name] = node.numbers("loc", (2,)).tolist()
+            elif figure.data.get("geometryType") == "rectangle":
+                points = Fields(figure.get("points", dict), f"{figure.where}points.")
+                low, high = points.numbers("exterior", (2, 2))
+                record["box"] = [*map(min, low, high), *map(max, low, high)]
+            record["kind"] = _word(figure.data.get("classTitle") or "Car")
+        return record
+
+    yield from _each(found, made, fields.where)
+
+
+def _datumaro(fields: Fields) -> Records:
+    categories = Fields(fields.get("categories", dict), f"{fields.where}categories.")
+    labels = [one.get("name") for one in (categories.data.get("label") or {}).get("labels") or ()]
+    names = {one.get("label_id"): one.get("labels") for one in (categories.data.get("points") or {}).get("items") or ()}
+    for number, item in enumerate(fields.get("items", list)):
+        entry = Fields(item, f"{fields.where}items[{number}].")
+        path = str((entry.data.get("image") or {}).get("path") or entry.data.get("id", ""))
+        groups: dict[Any, list[Fields]] = defaultdict(list)
+        for at, one in enumerate(entry.data.get("annotations") or ()):
+            annotation = Fields(one, f"{entry.where}annotations[{at}].")
+            groups[annotation.data.get("group") or "0"].append(annotation)
+
+        def made(key: Any, group: list[Fields], path: str = path) -> Record | None:
+            record: Record = {"id": f"{path}:{key}", "image": path.rsplit("/", 1)[-1], "keypoints": {}}
+            for one in group:
+                label = one.data.get("label_id")
+                if one.data.get("type") == "points":
+                    record["keypoints"] |= _datumaro_points(one, names.get(label))
+                elif one.data.get("type") == "bbox":
+                    x, y, width, height = one.numbers("bbox", (4,)).tolist()
+                    record["box"] = [x, y, x + width, y + height]
+                if isinstance(label, int) and label < len(labels):
+                    record["kind"] = _word(labels[label])
+            return record
+
+        yield from _each(groups, made, entry.where)
+
+
+def _datumaro_points(points: Fields, names: Any) -> dict[str, list[float]]:
+    if not isinstance(names, list):
+        fix = "Give categories of points with a list of names for it."
+        raise InvalidInputError(f"{points.where}label_id", points.data.get("label_id"), fix)
+    values = points.numbers("points", (2 * len(names),)).reshape(-1, 2).tolist()
+    visible = points.numbers("visibility", (len(names),)).tolist() if "visibility" in points else [2] * len(names)
+    pairs = zip(names, values, visible, strict=True)
+    return {str(name): [*value, _HIDDEN if seen == 1 else 1.0] for name, value, seen in pairs if seen}
+
+
+def _word(kind: Any) -> str:
+    return "_".join(str(kind).split())

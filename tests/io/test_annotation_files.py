@@ -1,0 +1,81 @@
+"""Results as files of annotation tools, read back: `tests/formats/test_labels.py` has the tools' own libraries."""
+
+import json
+from dataclasses import replace
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+import fgrecon
+from fgrecon.core.box3d import box_corners
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import transform
+from fgrecon.io.export import ImageInfo, NamedResult, export
+from fgrecon.io.export.image_info import image_box
+from fgrecon.io.keypoints import read_any_keypoints
+from tests.io.formats import CATEGORY
+from tests.results import changed
+from tests.viz.made_up import make_example
+
+
+@pytest.fixture(scope="module")
+def cars():
+    made = [make_example(seed) for seed in range(2)]
+    camera = replace(made[0].camera, image_size=made[0].camera.image_size or (1242, 375))
+    return [
+        NamedResult(name, one.reconstruction, image="street.png", camera=camera, kind=kind, score=0.75)
+        for name, one, kind in zip("ab", made, ("Car", "Van"), strict=True)
+    ]
+
+
+def read_back(path):
+    if path.name == "l.json":
+        tasks = json.loads(path.read_text())
+        for task in tasks:
+            task["annotations"] = task.pop("predictions")  # what people accept of them
+        return fgrecon.keypoints_from(tasks)
+    return read_any_keypoints(path, CATEGORY).instances
+
+
+@pytest.mark.parametrize(("name", "kind"), [("c.xml", None), ("l.json", "label_studio"), ("s.json", "scalabel")])
+def test_keypoints_and_boxes_come_back(cars, tmp_path, name, kind):
+    path = export(tmp_path / name, cars, kind)
+    vehicles = read_back(path)
+    assert [vehicle.kind for vehicle in vehicles] == ["Car", "Van"]
+    assert {vehicle.image for vehicle in vehicles} == {"street.png"}
+    for vehicle, item in zip(vehicles, cars, strict=True):
+        observation = vehicle.observation
+        assert np.abs(observation.keypoints - item.result.pose.wireframe_uv).max() < 1e-9
+        assert np.abs(observation.box - image_box(item)).max() < 1e-9
+        if kind != "label_studio":
+            hidden = item.result.diagnostics.visibility < 0.5
+            assert (observation.confidence < 1.0).tolist() == hidden.tolist()
+
+
+def test_cuboids_of_cvat_are_the_pixels_of_the_corners(cars, tmp_path):
+    root = ET.parse(export(tmp_path / "c.xml", cars, images={"street.png": ImageInfo(image_id=17)})).getroot()
+    (image,) = root.iter("image")
+    assert (image.get("id"), image.get("width")) == ("17", str(cars[0].camera.image_size[0]))
+    cuboid = next(image.iter("cuboid"))
+    corners = transform(cars[0].result.camera_T_object, box_corners(cars[0].result.box_size))
+    length, width, height = cars[0].result.box_size
+    for name, (along, up, left) in {"tl1": (1, 1, 1), "br1": (1, 0, -1), "bl2": (-1, 0, 1), "tr2": (-1, 1, -1)}.items():
+        point = [along * length / 2, -up * height, left * width / 2]
+        placed = transform(cars[0].result.camera_T_object, np.array([point]))
+        assert np.abs(corners - placed).sum(axis=1).min() < 1e-9
+        (wanted,) = cars[0].camera.project(placed)
+        assert np.abs(np.array([float(cuboid.get(f"{axis}{name}")) for axis in "xy"]) - wanted).max() < 1e-9
+
+
+def test_a_cuboid_behind_the_camera_and_a_size_that_is_not_known(cars, tmp_path):
+    pose = cars[0].result.camera_T_object.copy()
+    pose[2, 3] = 0.5
+    near = replace(cars[0], result=changed(cars[0].result, camera_T_object=pose), box=np.array([0.0, 0.0, 9.0, 9.0]))
+    root = ET.parse(export(tmp_path / "c.xml", [near])).getroot()
+    assert [shape.tag for shape in root.find("image")] == ["skeleton", "box"]
+    bare = [replace(cars[0], camera=None)]
+    assert ET.parse(export(tmp_path / "c.xml", bare)).getroot().find("image").get("width") is None
+    for kind in ("label_studio", "scalabel"):
+        with pytest.raises(InvalidInputError, match=r"image of unknown size, street\.png"):
+            export(tmp_path / "x.json", bare, kind)
