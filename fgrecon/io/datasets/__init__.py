@@ -6,15 +6,17 @@ A path may be followed by what is meant of it: `PATH#SEQUENCE/CAMERA`, `PATH#SEQ
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.datasets.description import (
     CameraImage,
     DataSequence,
     Moment,
+    Reader,
     WorldBox,
     box_pose,
     drive_of,
@@ -42,24 +44,11 @@ NAMES = "nuscenes", "argoverse2", "kitti360", "waymo", "cityscapes3d"
 """The modules that read data sets, in the order in which they are tried."""
 
 
-class Reader(Protocol):
-    """What a module of this folder has."""
-
-    def matches(self, path: Path) -> bool:
-        """Whether a path is this data set."""
-
-    def sequences(self, path: Path) -> tuple[str, ...]:
-        """The names of its sequences."""
-
-    def read(self, path: Path, sequence: str | None) -> DataSequence:
-        """A sequence; None for the only one."""
-
-
-def data_set_of(path: Path) -> Reader | None:
+def data_set_of(path: Path) -> Reader[Any] | None:
     """What reads a path; None where it is no data set that is known. Heavy packages are imported by who reads."""
     if not path.is_dir():
         return None
-    readers = (cast("Reader", import_module(f"{__name__}.{name}")) for name in NAMES)
+    readers: Iterator[Reader[Any]] = (import_module(f"{__name__}.{name}").READER for name in NAMES)
     return next((reader for reader in readers if reader.matches(path)), None)
 
 
@@ -79,11 +68,10 @@ def open_sequence(source: str | Path) -> tuple[DataSequence, str | None]:
     if reader is None:
         fix = f"Give a folder of one of: {', '.join(NAMES)}."
         raise InvalidInputError("data set", str(path), fix)
-    names = reader.sequences(path)
-    if name is None or name in names:
-        return reader.read(path, name), None
+    if name is None or name in reader.listed(path):
+        return reader.sequence(path, name), None
     sequence, _, camera = name.rpartition("/")
-    return reader.read(path, sequence or None), camera
+    return reader.sequence(path, sequence or None), camera
 
 
 def open_drive(source: str | Path) -> Drive:

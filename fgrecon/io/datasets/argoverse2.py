@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.datasets.columns import Columns, read_columns
-from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, WorldBox, chosen
+from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
 from fgrecon.io.json_fields import within
 
 Array = NDArray[np.float64]
@@ -32,25 +32,8 @@ _NEAREST_NS = {"ring": 25_000_000, "stereo": 100_000_000}  # the devkit's: half 
 _CARS = {"REGULAR_VEHICLE": "Car"}
 
 
-def matches(path: Path) -> bool:
-    """Whether it is a log, or a folder of logs."""
-    return bool(_logs(path))
-
-
-def sequences(path: Path) -> tuple[str, ...]:
-    """The names of the logs."""
-    return tuple(_logs(path))
-
-
-def read(path: Path, sequence: str | None) -> DataSequence:
-    """A log.
-
-    Raises:
-        InvalidInputError: There is no such log, or a file is malformed; names file and column.
-    """
-    logs = _logs(path)
-    name = chosen(tuple(logs), sequence, "log", str(path))
-    log = logs[name]
+def _read(name: str, log: Path) -> DataSequence:
+    """A log."""
     poses = _poses(read_columns(log / _POSES), "timestamp_ns")
     mounts = _poses(read_columns(log / _CALIBRATION / "egovehicle_SE3_sensor.feather"), "sensor_name")
     boxes = _boxes(log / "annotations.feather", poses) if (log / "annotations.feather").is_file() else {}
@@ -84,9 +67,10 @@ def read(path: Path, sequence: str | None) -> DataSequence:
 
 
 def _logs(path: Path) -> dict[str, Path]:
+    """A log, or those of a folder."""
     if (path / _POSES).is_file():
         return {path.name: path}
-    found = sorted(path.glob(f"*/{_POSES}")) if path.is_dir() else []
+    found = sorted(path.glob(f"*/{_POSES}"))
     return {file.parent.name: file.parent for file in found}
 
 
@@ -136,3 +120,7 @@ def _nearest(images: list[int], sweeps: list[int], farthest: int) -> dict[int, s
         if best is not None and abs(best - sweep) <= farthest:
             shows[best] = str(sweep)
     return shows
+
+
+READER = Reader("log", _logs, _read)
+"""Argoverse 2: a log, or a folder of logs."""

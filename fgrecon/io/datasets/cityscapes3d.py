@@ -7,6 +7,7 @@ of them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import AHEAD, quaternion_pose
-from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, WorldBox, chosen
+from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
 from fgrecon.io.json_fields import Fields, read_json, within
 
 Array = NDArray[np.float64]
@@ -28,26 +29,10 @@ _CARS = {"car": "Car"}
 _PARTLY, _LARGELY = 0.1, 0.5  # shares of occlusion from which KITTI's grade is 1 and 2; not tuned
 
 
-def matches(path: Path) -> bool:
-    """Whether it is the folder of Cityscapes with its 3D boxes, or one with such files."""
-    return bool(_files(path))
-
-
-def sequences(path: Path) -> tuple[str, ...]:
-    """The cities, with the part of the data set that they are of."""
-    return tuple(_files(path))
-
-
-def read(path: Path, sequence: str | None) -> DataSequence:
-    """The images of a city.
-
-    Raises:
-        InvalidInputError: There is no such city, or a file is malformed; names file and field.
-    """
-    cities = _files(path)
-    name = chosen(tuple(cities), sequence, "city", str(path))
+def _read(name: str, files: Sequence[Path]) -> DataSequence:
+    """The images of a city."""
     images, moments = [], {}
-    for number, file in enumerate(cities[name]):
+    for number, file in enumerate(files):
         stem = file.name.removesuffix(_ENDING)
         fields = Fields(read_json(file), f"{file}: ")
         vehicle_T_camera = np.eye(4)
@@ -119,8 +104,6 @@ def _image(file: Path, stem: str) -> Path:
 
 def _files(path: Path) -> dict[str, list[Path]]:
     """The files of labels by city."""
-    if not path.is_dir():
-        return {}
     for pattern in (f"{_LABELS}/*/*/*{_ENDING}", f"*/*/*{_ENDING}", f"*/*{_ENDING}", f"*{_ENDING}"):
         found = sorted(path.glob(pattern))
         if found:
@@ -129,3 +112,7 @@ def _files(path: Path) -> dict[str, list[Path]]:
                 cities.setdefault(file.name.split("_")[0], []).append(file)
             return cities
     return {}
+
+
+READER = Reader("city", _files, _read)
+"""Cityscapes: its folder with 3D boxes, or one of such files; a sequence is a city."""

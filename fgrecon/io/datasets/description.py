@@ -7,10 +7,11 @@ there. The world's frame is the data set's own; it is the same for all images an
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 UNKNOWN = -1
 """KITTI's mark for an occlusion that is not known."""
@@ -254,16 +256,39 @@ def _row(box: WorldBox, image: CameraImage) -> list[float] | None:
     return [truncation, box.occlusion, alpha, *drawn, height, width, length, x, y, z, yaw, score]
 
 
-def chosen(names: Sequence[str], wanted: str | None, what: str, where: str) -> str:
-    """The name that is wanted, or the only one.
+@dataclass(frozen=True)
+class Reader(Generic[T]):
+    """A data set: how its sequences are found, and how one is read. Every module of this folder has one, `READER`.
 
-    Raises:
-        InvalidInputError: There is no such name, or none is wanted and there are several; lists some.
+    Attributes:
+        what: A sequence in its words, such as `log`.
+        listed: The sequences below a path by their names, with what `read` needs of each; empty where it is no such
+            data set.
+        read: Makes a sequence of its name and that. Raises `InvalidInputError` with file and field where one is
+            malformed.
     """
-    if wanted in names:
-        return str(wanted)
-    if wanted is None and len(names) == 1:
-        return names[0]
-    listed = ", ".join([*names[:5], *(["..."] if len(names) > 5 else [])]) or "none"
-    value = wanted if wanted is not None else f"{len(names)} of them"
-    raise InvalidInputError(what, value, f"Name one of {where}: {listed}.")
+
+    what: str
+    listed: Callable[[Path], Mapping[str, T]]
+    read: Callable[[str, T], DataSequence]
+
+    def matches(self, path: Path) -> bool:
+        """Whether a path is this data set."""
+        return path.is_dir() and bool(self.listed(path))
+
+    def sequence(self, path: Path, wanted: str | None) -> DataSequence:
+        """The sequence that is wanted, or the only one.
+
+        Raises:
+            InvalidInputError: There is no such sequence, or none is wanted and there are several; lists some.
+        """
+        found = self.listed(path)
+        names = list(found)
+        if wanted is None and len(names) == 1:
+            wanted = names[0]
+        if wanted not in found:
+            listed = ", ".join([*names[:5], *(["..."] if len(names) > 5 else [])])
+            value = wanted if wanted is not None else f"{len(names)} of them"
+            raise InvalidInputError(self.what, value, f"Name one of {path}: {listed}.")
+        assert wanted is not None
+        return self.read(wanted, found[wanted])

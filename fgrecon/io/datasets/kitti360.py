@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, WorldBox, chosen
+from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
 from fgrecon.io.files import read_text
 
 Array = NDArray[np.float64]
@@ -37,23 +37,15 @@ _CARS = {"car": "Car"}
 _FIX = "Give KITTI-360's files as they are."
 
 
-def matches(path: Path) -> bool:
-    """Whether it is KITTI-360's folder."""
-    return (path / "calibration" / "perspective.txt").is_file() and (path / "data_poses").is_dir()
+def _sequences(path: Path) -> dict[str, Path]:
+    """The folder by the names of the sequences that have poses."""
+    if not (path / "calibration" / "perspective.txt").is_file():
+        return {}
+    return {file.parent.name: path for file in sorted((path / "data_poses").glob("*/poses.txt"))}
 
 
-def sequences(path: Path) -> tuple[str, ...]:
-    """The names of the sequences that have poses."""
-    return tuple(sorted(file.parent.name for file in (path / "data_poses").glob("*/poses.txt")))
-
-
-def read(path: Path, sequence: str | None) -> DataSequence:
-    """A sequence; frames without a pose are left out.
-
-    Raises:
-        InvalidInputError: There is no such sequence, or a file is malformed; names file, line or object.
-    """
-    name = chosen(sequences(path), sequence, "sequence", str(path / "data_poses"))
+def _read(name: str, path: Path) -> DataSequence:
+    """A sequence; frames without a pose are left out."""
     poses = _frames(path / "data_poses" / name / "poses.txt")
     labels = next((f for part in ("train", "train_full", "test") if (f := _labels(path, part, name)).is_file()), None)
     boxes = {} if labels is None else _boxes(labels, tuple(poses))
@@ -195,3 +187,7 @@ def _whole(item: ET.Element, name: str, where: str) -> int:
         return int(text or "")
     except ValueError:
         raise InvalidInputError(f"{where}{name}", text, "Give a whole number.") from None
+
+
+READER = Reader("sequence", _sequences, _read)
+"""KITTI-360's folder."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, WorldBox, chosen
+from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.nuscenes import NuScenesTables, is_nuscenes, open_nuscenes, pose_of
 
@@ -30,26 +30,19 @@ _OCCLUSION = {"1": 2, "2": 1, "3": 1, "4": 0}
 """KITTI's grade by the token of visibility: 1 shows less than 40 %, 4 from 80 %."""
 
 
-def matches(path: Path) -> bool:
-    """Whether it is a folder of tables with labels, or the folder in which that is the only one."""
-    return _tables(path) is not None
+def _scenes(path: Path) -> dict[str, NuScenesTables]:
+    """The tables by the names of the scenes."""
+    folder = _tables(path)
+    if folder is None:
+        return {}
+    tables = open_nuscenes(folder)
+    return {scene.get("name", str): tables for scene in tables.table("scene").values()}
 
 
-def sequences(path: Path) -> tuple[str, ...]:
-    """The names of the scenes."""
-    return tuple(scene.get("name", str) for scene in _opened(path).table("scene").values())
-
-
-def read(path: Path, sequence: str | None) -> DataSequence:
-    """A scene.
-
-    Raises:
-        InvalidInputError: There is no such scene, or a record is malformed; names file and record.
-    """
-    tables = _opened(path)
-    scenes = {scene.get("name", str): scene for scene in tables.table("scene").values()}
-    name = chosen(tuple(scenes), sequence, "scene", str(tables.folder))
-    token = scenes[name].get("token", str)
+def _read(name: str, tables: NuScenesTables) -> DataSequence:
+    """A scene."""
+    scene = next(one for one in tables.table("scene").values() if one.get("name", str) == name)
+    token = scene.get("token", str)
     samples = {t: s for t, s in tables.table("sample").items() if s.get("scene_token", str) == token}
     boxes, trucks = _boxes(tables, samples), (tables.folder / f"{_TRUCKSCENES}.json").is_file()
     poses = _Poses(tables) if trucks else None
@@ -139,12 +132,10 @@ class _Poses:
 
 def _tables(path: Path) -> Path | None:
     """The folder of the tables."""
-    inside = sorted(folder for folder in path.glob("v*") if is_nuscenes(folder)) if path.is_dir() else []
-    folder = path if path.is_dir() and is_nuscenes(path) else inside[0] if len(inside) == 1 else None
+    inside = sorted(folder for folder in path.glob("v*") if is_nuscenes(folder))
+    folder = path if is_nuscenes(path) else inside[0] if len(inside) == 1 else None
     return folder if folder is not None and all((folder / f"{n}.json").is_file() for n in _NEEDED) else None
 
 
-def _opened(path: Path) -> NuScenesTables:
-    folder = _tables(path)
-    assert folder is not None
-    return open_nuscenes(folder)
+READER = Reader("scene", _scenes, _read)
+"""nuScenes' or TruckScenes' tables with labels, or the folder in which they are the only ones."""

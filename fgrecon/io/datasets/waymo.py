@@ -21,7 +21,7 @@ from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import AHEAD
 from fgrecon.io.datasets.columns import Columns, read_columns
-from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, WorldBox, chosen, unpacked_images
+from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox, unpacked_images
 from fgrecon.io.json_fields import within
 
 Array = NDArray[np.float64]
@@ -35,23 +35,15 @@ _CARS = {"TYPE_VEHICLE": "Car"}
 _RIGID = 1e-3
 
 
-def matches(path: Path) -> bool:
-    """Whether it is a folder of Waymo's tables with images, their cameras and poses."""
-    return path.is_dir() and all((path / name).is_dir() for name in (_IMAGES, _CAMERAS, _POSES))
+def _segments(path: Path) -> dict[str, Path]:
+    """The folder of the tables by the names of the segments: there are images, their cameras and poses."""
+    if not all((path / name).is_dir() for name in (_CAMERAS, _POSES)):
+        return {}
+    return {file.stem: path for file in sorted((path / _IMAGES).glob("*.parquet"))}
 
 
-def sequences(path: Path) -> tuple[str, ...]:
-    """The names of the segments."""
-    return tuple(sorted(file.stem for file in (path / _IMAGES).glob("*.parquet")))
-
-
-def read(path: Path, sequence: str | None) -> DataSequence:
-    """A segment; its images stay in their table until they are looked at.
-
-    Raises:
-        InvalidInputError: There is no such segment, or a table is malformed; names file and column.
-    """
-    name = chosen(sequences(path), sequence, "segment", str(path / _IMAGES))
+def _read(name: str, path: Path) -> DataSequence:
+    """A segment; its images stay in their table until they are looked at."""
     poses = _poses(read_columns(path / _POSES / f"{name}.parquet"), "[VehiclePoseComponent].world_from_vehicle")
     at = dict(zip(read_columns(path / _POSES / f"{name}.parquet", [_TIME]).values(_TIME), poses, strict=True))
     labels = path / _BOXES / f"{name}.parquet"
@@ -152,3 +144,7 @@ def _boxes(table: Columns, poses: Mapping[Any, Array]) -> dict[int, list[WorldBo
         pose, size = poses[time] @ vehicle_T_box, np.array([length, width, height])
         found[time].append(WorldBox(f"{time}-{track}", _KINDS.get(kind, str(kind)), pose, size, track))
     return found
+
+
+READER = Reader("segment", _segments, _read)
+"""Waymo's folder of tables."""
