@@ -169,7 +169,7 @@ class VehiclePart:
         for name in self._others:
             yield name, sum(factor.error(values) for factor in self._term(name))
 
-    @property
+    @cached_property
     def _others(self) -> list[str]:
         """Terms that are not in the stack."""
         return [name for name in self._present if self._stack is None or name not in self._stack.slices]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,10 +168,15 @@ def _bump(off: Array) -> Array:
 
 def _kernel_product(probability: Array, seconds: float, turn: float) -> Array:
     """Turned, blurred, and with a little of everything; done in Fourier series, exact on the circle."""
-    order = np.arange(_BINS // 2 + 1)
-    spread = SETTINGS.turn_rate_sigma_rad * np.sqrt(seconds)
-    factor = np.exp(-1j * order * turn - 0.5 * np.square(order * spread))
-    smooth = np.maximum(np.fft.irfft(np.fft.rfft(probability) * factor, _BINS), 0.0)
+    smooth = np.maximum(np.fft.irfft(np.fft.rfft(probability) * _turned(seconds, turn), _BINS), 0.0)
     elsewhere = min(SETTINGS.jump_probability_per_s * seconds, 0.5)
     result: Array = (1.0 - elsewhere) * smooth / smooth.sum() + elsewhere / _BINS
     return result
+
+
+@lru_cache(maxsize=1024)  # the steps of a window come again with the next frame
+def _turned(seconds: float, turn: float) -> NDArray[np.complex128]:
+    """(B / 2 + 1,) factors of a Fourier series."""
+    order = np.arange(_BINS // 2 + 1)
+    spread = SETTINGS.turn_rate_sigma_rad * np.sqrt(seconds)
+    return np.asarray(np.exp(-1j * order * turn - 0.5 * np.square(order * spread)))
