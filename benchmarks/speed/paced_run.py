@@ -24,6 +24,7 @@ from fgrecon.cli.main import app
 from fgrecon.io.frames import ImageFrames
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.vehicles import NanodetVehicleDetector
+from fgrecon.solve.tracker import Tracker
 from fgrecon.video.follow import Follower
 from fgrecon.video.run import VideoRun
 
@@ -101,7 +102,7 @@ def main() -> None:
     clock(NanodetVehicleDetector, "__call__", "car detector")
     clock(KeypointCascade, "__call__", "keypoint networks")
     clock(motion_stage(), "__call__", "the camera's motion")
-    clock(VideoRun, "smooth", "smoothing")
+    clock(VideoRun if hasattr(VideoRun, "smooth") else Tracker, "smooth", "smoothing")
     clock(gtsam.GaussianFactorGraph, "optimize", ELIMINATION, least)
     clock(gtsam.LevenbergMarquardtOptimizer, "optimize", OPTIMISER, least)
     with suppress(ImportError):
