@@ -15,7 +15,6 @@ from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation, as_directions
 from fgrecon.core.repr import brief_repr
-from fgrecon.core.vehicle_class import VehicleClass
 
 _SUREST = 1e-6
 _ROUNDED = 1e-3  # by how much probabilities may miss one
@@ -31,7 +30,8 @@ class Detection:
             detector does not say.
         visible: (K,) probability of each keypoint to be visible, wherever it is; or None.
         kinds: Probability of each kind of vehicle (`car`, `van`, `lorry`), by name; None where the detector does not
-            say.
+            say. No evidence of the size unless it is asked for (`reconstruct_image`, `classes`): where cars are many, a
+            few per cent of a van put each of them farther away.
     """
 
     observation: Observation
@@ -43,10 +43,8 @@ class Detection:
 
     @property
     def evidence(self) -> Observation:
-        """What a solver takes: the observation, which knows directions and kinds as well."""
+        """What a solver takes: the observation, which knows directions as well."""
         seen = self.observation
-        if self.kinds is not None:
-            seen = seen.with_evidence([VehicleClass(self.kinds)])
         return seen if self.azimuth is None or self.azimuth is seen.azimuth else replace(seen, azimuth=self.azimuth)
 
     @property

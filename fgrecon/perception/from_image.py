@@ -160,7 +160,7 @@ def reconstruct_image(
     size_prior: SizesLike | None = None,
     options: Options | None = None,
     together: bool = True,
-    classes: Sequence[VehicleClass | None] | Literal["detected"] | None = None,
+    classes: Sequence[VehicleClass | None] | Literal["detected", "keypoints"] | None = None,
     evidence: Sequence[Evidence] = (),
     extra_factors: Sequence[gtsam.NonlinearFactor] = (),
 ) -> list[FromImage]:
@@ -181,8 +181,8 @@ def reconstruct_image(
         together: Whether the vehicles share one ground that is a variable (`fgrecon.reconstruct_scene`); else, and
             where the pose is not to move with the shape (`joint=False`), each is solved alone. Where the focal length
             is not known they are solved together in any case.
-        classes: Which class the vehicle in each box is of, which tells its size; or `detected` for what the vehicle
-            detector says. None where nobody says.
+        classes: Which class the vehicle in each box is of, which tells its size; `detected` for what the vehicle
+            detector says; or `keypoints` for the kinds that the keypoint networks say. None where nobody says.
         evidence: What other sensors say of the vehicles, such as `fgrecon.Points` of a scan in the camera's frame, or a
             `fgrecon.Mask` of each.
         extra_factors: The caller's own factors on the poses X(v, 0) and lambdas L(v), v the number of the box, and the
@@ -211,6 +211,8 @@ def reconstruct_image(
         corners, named = as_finite("boxes", as_rows("boxes", boxes, 4), (None, 4)), ()
     networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
     detections = find_keypoints(networks, pixels, corners, shape_prior.category)
+    if classes == "keypoints":
+        classes = [None if one.kinds is None else VehicleClass(one.kinds) for one in detections]
     detections = _with_classes(detections, named if classes == "detected" else classes)
     how: dict[str, Any] = {"ground": ground, "size_prior": size_prior, "options": options, "together": together}
     how |= {"evidence": evidence, "extra_factors": extra_factors}
@@ -234,7 +236,7 @@ def _with_classes(detections: list[Detection], classes: Sequence[VehicleClass | 
         fix = "Give one for each box, or None; `detected` needs a vehicle detector that says."
         raise InvalidInputError("classes", f"{len(each)} for {len(detections)} vehicles", fix)
     return [
-        one if kind is None else replace(one, observation=one.observation.with_evidence([kind]), kinds=None)
+        one if kind is None else replace(one, observation=one.observation.with_evidence([kind]))
         for one, kind in zip(detections, each, strict=True)
     ]
 

@@ -150,6 +150,12 @@ def test_classes_of_boxes_or_of_their_detector_tell_sizes():
     told = looking((van, VehicleClass("car")))
     assert priors(vehicle_detector=told) == ["car14", "car14"]  # unless it is requested
     assert priors(vehicle_detector=told, classes="detected") == ["car14 of van", "car14"]
+    found = [
+        replace(detection(pose, np.full(14, 0.9), azimuth_of(pose)), kinds=kinds)
+        for pose, kinds in zip(poses, [{"van": 1.0}, None], strict=True)
+    ]
+    assert priors(boxes=boxes) == ["car14", "car14"]
+    assert priors(boxes=boxes, classes="keypoints") == ["car14 of van", "car14"]
     with pytest.raises(InvalidInputError, match="0 for 2 vehicles"):
         priors(vehicle_detector=looking(()), classes="detected")
     with pytest.raises(InvalidInputError, match=r"vehicles\.classes.*1 for 2"):
