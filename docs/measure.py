@@ -226,11 +226,17 @@ def priors(data: Path, folder: Path) -> str:
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.lstrip()
 
 
+PAPER_LEFT_OUT = ("APK of each part", "Harder keypoints", "Known shape by", "Real tracks", "Run")
+"""Beginnings of the titles of what `fgrecon evaluate paper` writes beside: details, and what other tables have."""
+
+
 def paper(data: Path, folder: Path) -> str:
     """The paper's claims and tables, of an eighth of the simulated set."""
     run(["evaluate", "paper", "--data", data, "--out", folder, "--every", "8"])
     text = (folder / "evaluation.md").read_text(encoding="utf-8")
-    return text.partition("# Evaluation\n\n")[2].partition("## Run\n")[0].replace("\n## ", "\n### ").rstrip() + "\n"
+    sections = text.partition("# Evaluation\n")[2].split("\n## ")
+    kept = [part for part in sections if not part.startswith(PAPER_LEFT_OUT)]
+    return "\n### ".join(kept).strip() + "\n"
 
 
 MADE: Mapping[str, Callable[[Path, Path], str]] = {

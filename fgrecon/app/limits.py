@@ -15,7 +15,7 @@ class Limits:
         upload_seconds: In which an upload must have arrived.
         solve_seconds: After which work on an image or a keypoint file is given up.
         video_seconds: The same of a video.
-        waiting: Requests that may wait for a worker; more are told so.
+        waiting: Requests that may wait for a worker; more are refused.
     """
 
     upload_bytes: int = 32 << 20

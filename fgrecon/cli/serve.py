@@ -23,7 +23,7 @@ class ServerOptions:
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes that solve, of one thread each.", show_default="one a core")
     ] = None
-    waiting: Annotated[int, typer.Option(min=0, help="Requests that may wait; more are told to come again.")] = 64
+    waiting: Annotated[int, typer.Option(min=0, help="Requests that may wait; more are refused (503).")] = 64
     max_megabytes: Annotated[int, typer.Option(min=1, help="Size of an uploaded image or keypoint file.")] = 32
     seconds: Annotated[float, typer.Option(min=1.0, help="After which work on a request is given up.")] = 60.0
 

@@ -117,7 +117,7 @@ class ShapeOptions:
         free_offsets: Let each keypoint leave the subspace by a small offset with its own Gaussian prior, the two of a
             pair by the same where symmetry is on.
         basis_vectors: Use the first so many basis vectors; None uses all.
-        own_fleet: Where no fleet is told, the vehicles are of the one that the prior was learnt from; else of any.
+        own_fleet: Where no fleet is given, the vehicles are of the prior's; else of any.
         planarity_sigma: Distance of a keypoint from its face's plane, 1 sigma, metres.
         symmetry_sigma: Distance of a keypoint from its twin's mirror image, 1 sigma, metres.
         rectangularity_sigma: Deviation of a face from a rectangle, 1 sigma, metres.

@@ -22,7 +22,7 @@ class Status(StrEnum):
 
     CONVERGED = "converged"
     WEAK = "weak"
-    """It converged, but little carries it, or it is at odds with what was told: see `reasons`."""
+    """It converged, but little carries it, or it contradicts what was given: see `reasons`."""
     AMBIGUOUS = "ambiguous"
     """Another pose explains the keypoints nearly as well (see `alternatives`), or another focal length the image."""
     DEGENERATE = "degenerate"
