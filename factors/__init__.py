@@ -45,7 +45,7 @@ if TYPE_CHECKING:  # imported when used
     from factors.ground_transition import ground_transition_factor
     from factors.guard import guarded_factor
     from factors.keypoint_rows import KeypointRows, whiteners
-    from factors.keys import DecodedKey, F, G, L, M, O, P, S, V, X, decode_key, key_name
+    from factors.keys import D, DecodedKey, F, G, L, M, O, P, S, V, X, decode_key, key_name
     from factors.laplacian import laplacian_factor
     from factors.losses import Loss, RobustLoss
     from factors.marginals import Marginal, marginal, marginal_factor
@@ -70,6 +70,7 @@ if TYPE_CHECKING:  # imported when used
 
 __all__ = [
     "BoxRows",
+    "D",
     "DecodedKey",
     "DegenerateProblemError",
     "F",

@@ -164,6 +164,26 @@ cdef void unpack(const double[:, :] pose, double *R, double *t) noexcept:
         t[i] = pose[i, 3]
 
 
+cdef class Measured:
+    """Points of one kind, and those of others."""
+
+    cdef Points points
+    cdef Measured others
+
+    def __init__(self, Points points not None, Measured others):
+        """Bind points, and others or None."""
+        self.points, self.others = points, others
+
+    cdef double add(
+        self, const double *R, const double *t, const double *x, double *g, double *M, double *J
+    ) noexcept nogil:
+        """As `Points.add` has it, of all of them."""
+        cdef double energy = self.points.add(R, t, x, g, M, J)
+        if self.others is not None:
+            energy += self.others.add(R, t, x, g, M, J)
+        return energy
+
+
 cdef class Observation:
     """What is observed of a vehicle in an image, and how its residuals follow from pose and shape.
 
@@ -186,8 +206,8 @@ cdef class Observation:
     cdef const double[:, ::1] size_basis
     cdef const double[::1] size_mean
     cdef const double[::1] size_sigma
-    cdef bint has_size, has_direction, is_bound, has_points
-    cdef Points measured_points
+    cdef bint has_size, has_direction, is_bound
+    cdef Measured measured_points
 
     def __reduce__(self):
         """Pointers into arrays are not copied.
@@ -260,9 +280,10 @@ cdef class Observation:
             raise ValueError(f"arrays that do not belong together: {sizes}")
         self.is_bound = True
 
-    def search_points(self, Points points):
-        """Bind measured points, which the search has as well."""
-        self.measured_points, self.has_points = points, True
+    def search_points(self, points):
+        """Bind measured points, a list of them, which the search has as well."""
+        for one in points:
+            self.measured_points = Measured(one, self.measured_points)
 
     cdef double keypoint(
         self, int k, const double *R, const double *t, const double *x, const double *offsets, double least,
@@ -775,7 +796,7 @@ cdef double evaluate(
         i = i % A if i > 0 else 0  # NaN as well
         place -= floor(place)
         energy -= log((1.0 - place) * terms.direction[i] + place * terms.direction[(i + 1) % A])
-    if terms.has_points:
+    if terms.measured_points is not None:
         energy += terms.measured_points.add(R, t, x, g, M, J)
     for n in range(N):
         energy += 0.5 * x[n] * x[n]

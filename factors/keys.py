@@ -16,6 +16,8 @@ key        type in `Values`    meaning                                         u
 ``V(v,t)`` vector (3,)         velocity in frame t: forward, left, turn rate   metres, radians per second
 ``F(t)``   vector (1,)         focal length of frame t: log of its ratio to     -
                                the nominal one
+``D(t,n)`` vector (2,)         scale and shift of depth map n of frame t: log  -, metres or 1 / metres
+                               of their ratio to the nominal one, difference
 ``S()``    vector (3,)         how far the mean length, width and height of    metres
                                the vehicles' fleet are from the prior's
 =========  ==================  ==============================================  ======================
@@ -40,9 +42,9 @@ class DecodedKey(NamedTuple):
     """What a key stands for.
 
     Attributes:
-        letter: `X`, `L`, `O`, `P`, `M`, `G`, `V`, `F` or `S`.
-        vehicle: Number of the vehicle; 0 for the ground, the focal length and the fleet.
-        low: Frame of a pose, a velocity, the ground or the focal length, face of a plane, 0 for the others.
+        letter: `X`, `L`, `O`, `P`, `M`, `G`, `V`, `F`, `D` or `S`.
+        vehicle: Number of the vehicle, or of the depth map; 0 for the ground, the focal length and the fleet.
+        low: Frame of a pose, a velocity, the ground, the focal length or a depth map, face of a plane, 0 of others.
     """
 
     letter: str
@@ -90,6 +92,11 @@ def F(t: int = 0) -> int:
     return _key("F", 0, t, "t")
 
 
+def D(t: int = 0, n: int = 0) -> int:
+    """Key of scale and shift (2,) of a depth map of frame t (`factors.surface_points.Shared`)."""
+    return _key("D", n, t, "t")
+
+
 def S() -> int:
     """Key of the fleet (3,): by how much the vehicles are larger than those of the prior on average, metres."""
     return _key("S", 0, 0, "")
@@ -107,6 +114,8 @@ def key_name(key: int) -> str:
     letter, vehicle, low = decode_key(key)
     if letter == "S":
         return "S()"
+    if letter == "D":
+        return f"D(t={low},n={vehicle})"
     if letter in "GF":
         return f"{letter}(t={low})"
     detail = {"X": f",t={low}", "V": f",t={low}", "P": f",f={low}"}.get(letter, "")

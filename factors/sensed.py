@@ -1,14 +1,17 @@
 """What a sensor beside the keypoints says of one vehicle in one image: a factor on its pose and lambda.
 
     X(v,t) ----+---- points, mask or range ---- L(v)
+               +---- depth map ---- D(t,n)
 
-Either may be a constant. What is matched anew between steps (which patch a point is next to, which vertex is on the
+Each may be a constant. What is matched anew between steps (which patch a point is next to, which vertex is on the
 outline) is set by `look`; how the mixture is handed to the solver by `tell`, as with an observation's own rows.
 """
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -32,9 +35,16 @@ class SensedFactor:
         common_factor: By how much less it says of covariances, with `Form.WEIGHTED`; infinite where it is silent.
     """
 
-    name: ClassVar[str]
+    name: str
 
-    def __init__(self, pose: int | Array, coefficients: int | Array, count: int, rows: int) -> None:
+    def __init__(
+        self,
+        pose: int | Array,
+        coefficients: int | Array,
+        count: int,
+        rows: int,
+        more: Sequence[tuple[int | Array, int]] = (),
+    ) -> None:
         """Bind it to variables by their keys, or to constants.
 
         Args:
@@ -42,10 +52,13 @@ class SensedFactor:
             coefficients: Lambda (N,).
             count: How many coefficients there are.
             rows: How many rows it has.
+            more: Further variables, or constants, with their numbers.
         """
         self._pose, self._coefficients, self._count = pose, coefficients, rows
-        widths = ((pose, slice(0, 6)), (coefficients, slice(6, 6 + count)))
-        bound = [(key, part) for key, part in widths if isinstance(key, int)]
+        self._more = [variable for variable, _ in more]
+        ends = [0, *accumulate((6, count, *(size for _, size in more)))]
+        every = zip((pose, coefficients, *self._more), map(slice, ends, ends[1:]), strict=True)
+        bound = [(key, part) for key, part in every if isinstance(key, int)]
         self.keys = tuple(key for key, _ in bound)
         self._dims = tuple(part.stop - part.start for _, part in bound)
         self._columns = np.concatenate([np.arange(part.start, part.stop) for _, part in bound] or [np.zeros(0, int)])
@@ -57,6 +70,10 @@ class SensedFactor:
         pose = values.atPose3(self._pose).matrix() if isinstance(self._pose, int) else self._pose
         key = self._coefficients
         return pose[:3, :3], pose[:3, 3], values.atVector(key) if isinstance(key, int) else key
+
+    def others(self, values: gtsam.Values) -> list[Array]:
+        """What its further variables are at the values."""
+        return [values.atVector(one) if isinstance(one, int) else one for one in self._more]
 
     def look(self, values: gtsam.Values, *, hold: bool = False) -> None:
         """Match anew at the values what is matched; `hold` keeps it."""
@@ -82,7 +99,8 @@ class SensedFactor:
         """A factor of these rows; of unit noise, since they are whitened."""
         pose = self._pose
         packed = pose if isinstance(pose, int) else np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]])
-        compiled = None if self._source is None else CompiledRows(self._source, (packed, self._coefficients))
+        variables = packed, self._coefficients, *self._more
+        compiled = None if self._source is None else CompiledRows(self._source, variables)
         return guarded_factor(self.name, 1.0, self.keys, self._dims, self._count, self, compiled=compiled)
 
     def _robust(
@@ -94,7 +112,7 @@ class SensedFactor:
             weights: (M,) weights, which `Form.WEIGHTED` has.
             densities: (M,) of right ones and of wrong ones.
             residual: (M,) whitened.
-            jacobian: (M, 6 + N) its derivative by pose and coefficients, or None.
+            jacobian: (M, D) its derivative by all variables, or None.
             share: Share of the energy that counts.
         """
         form = self.form if jacobian is not None or self.form is Form.WEIGHTED else Form.LOSS

@@ -11,11 +11,20 @@ that would hit it seldom ends before it, on what hides it, and hardly ever far i
 patch that faces away from the sensor is not measured.
 
 A point's energy is 0 where it is on the surface and log of the odds, a few nats, where it is anything else.
+
+Points of a depth map are far more uncertain along their rays than across them: `along` of them beside `sigma` all
+round. Such a point is on the patch k that its ray meets, and with the ray's direction u at the patch
+
+    r = n_k . (q - m_k - B_k lambda) / sqrt(sigma^2 + (n_k . u along)^2)
+
+All points of an image may share an error as well, with two variables (a, b): of the depth, z' = exp(a) z + b, or of the
+inverse depth, 1 / z' = exp(a) / z + b (`Shared`).
 """
 
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
+from enum import IntEnum
 from functools import cached_property
 from typing import Any
 
@@ -30,6 +39,30 @@ from factors.sensed import SensedFactor
 from factors.surface_patches import SPACING, SurfacePatches
 
 Array = NDArray[np.float64]
+
+
+class Shared(IntEnum):
+    """What the two variables are that all points of an image share."""
+
+    NONE = 0
+    DEPTH = 1
+    INVERSE = 2
+
+
+SPREAD = 3.0
+"""Standard deviations along a ray over which what is anything else is spread at least, beside `PointOdds.span`."""
+
+STEPS = 3
+"""Patches that are looked at on the way of a ray to the surface."""
+
+LEAST_COSINE, LONGEST_STEP = 0.05, 1.0
+"""Of the angle between ray and normal, below which a patch is not met; metres of such a step."""
+
+SOFTNESS = 1.7
+"""Of a logistic function that is about a normal distribution's."""
+
+LEAST_RATIO = 0.05
+"""Of a point's depth to what was measured."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +90,10 @@ class PointOdds:
     reach_sigma: float
 
 
+NOTHING_SHARED = np.zeros(2)
+"""What points share where nothing is known of it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Match:
     """Which patch each point is next to, and how probable it is on it.
@@ -65,11 +102,13 @@ class Match:
         patch: (M,) indices of patches.
         right: (M,) densities of points on the surface, at it.
         wrong: (M,) densities of anything else.
+        sigma: (M,) standard deviations of their distances from the patches, metres.
     """
 
     patch: NDArray[np.intp]
     right: Array
     wrong: Array
+    sigma: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +124,8 @@ class PointRows:
         size_basis: (3, N) their change per unit of each coefficient.
         odds: How probable a point is the vehicle's.
         share: Share of the energy that counts: neighbouring points err alike, since the surface does.
+        along: (M,) standard deviation along the rays from the origin, metres; 0 of points that have none of their own.
+        shared: What the variables are that all of them share.
     """
 
     points: Array
@@ -95,28 +136,78 @@ class PointRows:
     size_basis: Array
     odds: PointOdds
     share: float
+    along: Array
+    shared: Shared = Shared.NONE
 
-    def match(self, rotation: Array, translation: Array, coefficients: Array) -> Match:
-        """The patches next to the points at a pose and shape."""
+    def match(self, rotation: Array, translation: Array, coefficients: Array, shared: Array = NOTHING_SHARED) -> Match:
+        """The patches next to the points, or that their rays meet, at a pose, a shape and what they share (2,)."""
         if self.compiled is not None:
-            return Match(*self.compiled.match(rotation, translation, coefficients))
+            return Match(*self.compiled.match(rotation, translation, coefficients, shared))
         patches, odds = self.patches, self.odds
         size = self.size + self.size_basis @ coefficients
-        local, sensor = (self.points - translation) @ rotation, (self.origin - translation) @ rotation
+        local, sensor = (self.placed(shared) - translation) @ rotation, (self.origin - translation) @ rotation
         scale = (self.size / np.maximum(size, 0.1 * self.size))[[0, 2, 1]]  # to the mean shape's size
+        unit = local - sensor
+        unit = unit / np.maximum(np.linalg.norm(unit, axis=1), 1e-9)[:, None]
+        met = local
+        if self.along.any():
+            traced = self._traced(sensor, unit, scale, size, coefficients)
+            met = np.where(self.along[:, None] > 0.0, traced, local)
+        patch, facing = self._nearest(met, sensor, scale)
+        normal = patches.normal[patch]
+        away = met - self._centres(patch, coefficients)
+        off = (away * normal).sum(axis=1)
+        tangent = np.sqrt(np.maximum(np.square(away).sum(axis=1) - off**2, 0.0))
+        beyond = np.maximum(tangent - odds.reach, 0.0) / odds.reach_sigma
+        cosine = np.abs((unit * normal).sum(axis=1))
+        sigma = np.sqrt(self.sigma**2 + (self.along * cosine) ** 2)
+        density = np.where(self.along > 0.0, cosine * self._spread / sigma, 1.0)
+        right = np.where(facing, odds.vehicle * np.exp(-0.5 * np.square(beyond)) * density, 0.0)
+        wrong = (1.0 - odds.vehicle) * self._peak * self._elsewhere(local, sensor, size)
+        return Match(patch, right, wrong, sigma)
+
+    def placed(self, shared: Array) -> Array:
+        """(M, 3) the points by what they share."""
+        if self.shared is Shared.NONE:
+            return self.points
+        return self.points * self._ratio(shared)[:, None]
+
+    def _ratio(self, shared: Array) -> Array:
+        """(M,) depths by what the points share, as a share of the measured ones."""
+        scale, depth = np.exp(shared[0]), self.points[:, 2]
+        if self.shared is Shared.DEPTH:
+            return np.asarray(np.maximum(scale + shared[1] / depth, LEAST_RATIO))
+        return np.asarray(1.0 / np.maximum(scale + shared[1] * depth, LEAST_RATIO))
+
+    def _centres(self, patch: NDArray[np.intp], coefficients: Array) -> Array:
+        """(M, 3) centres of patches at a shape."""
+        moved: Array = self.patches.mean[patch] + np.tensordot(coefficients, self.patches.basis[:, patch], axes=1)
+        return moved
+
+    def _nearest(self, local: Array, sensor: Array, scale: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """(M,) the patches next to points in the object frame, of those that face the sensor; whether these do."""
+        patches = self.patches
         near = patches.neighbours[patches.looked_up(local * scale)]  # (M, 12)
         centres, normals = patches.mean[near], patches.normal[near]
         facing = ((sensor * scale - centres) * normals).sum(axis=-1) > 0.0
         squares = np.where(facing, np.square((local * scale)[:, None] - centres).sum(axis=-1), np.inf)
         best = np.arange(len(local)), squares.argmin(axis=1)
-        patch, normal = near[best].astype(np.intp), normals[best]
-        away = local - patches.mean[patch] - np.tensordot(coefficients, patches.basis[:, patch], axes=1)
-        off = (away * normal).sum(axis=1)
-        along = np.sqrt(np.maximum(np.square(away).sum(axis=1) - off**2, 0.0))
-        beyond = np.maximum(along - odds.reach, 0.0) / odds.reach_sigma
-        right = np.where(facing[best], odds.vehicle * np.exp(-0.5 * np.square(beyond)), 0.0)
-        wrong = (1.0 - odds.vehicle) * self._peak * self._elsewhere(local, sensor, size)
-        return Match(patch, right, wrong)
+        return near[best].astype(np.intp), facing[best]
+
+    def _traced(self, sensor: Array, unit: Array, scale: Array, size: Array, coefficients: Array) -> Array:
+        """(M, 3) where rays meet the surface, object frame; of one that misses it, where it is near."""
+        half, middle = size[[0, 2, 1]] / 2.0, np.array([0.0, -size[2] / 2.0, 0.0])
+        enters, leaves = _crossing(sensor, unit, middle, half)
+        at = np.where(leaves > np.maximum(enters, 0.0), np.maximum(enters, 0.0), unit @ (middle - sensor))
+        for _ in range(STEPS):
+            place = sensor + at[:, None] * unit
+            patch, facing = self._nearest(place, sensor, scale)
+            normal = self.patches.normal[patch]
+            slope = (normal * unit).sum(axis=1)
+            off = ((place - self._centres(patch, coefficients)) * normal).sum(axis=1)
+            step = np.where(facing & (slope < -LEAST_COSINE), -off / np.minimum(slope, -LEAST_COSINE), 0.0)
+            at = at + np.clip(step, -LONGEST_STEP, LONGEST_STEP)
+        return np.asarray(sensor + at[:, None] * unit)
 
     def __getstate__(self) -> dict[str, Any]:
         """What it is made of; another process compiles it again."""
@@ -133,7 +224,7 @@ class PointRows:
         kernel = self.kernel
         if kernel is None:
             return None
-        patches, arrays = self.patches, (self.points, self.sigma, self.origin)
+        patches, arrays = self.patches, (self.points, self.sigma, self.along, self.origin)
         return kernel.Points(
             *(np.ascontiguousarray(array, dtype=np.float64) for array in arrays),
             *patches.packed,
@@ -142,12 +233,18 @@ class PointRows:
             np.ascontiguousarray(self.size_basis),
             np.array(astuple(self.odds)),
             self.share,
+            int(self.shared),
         )
+
+    @property
+    def _spread(self) -> Array:
+        """(M,) standard deviation of a point along a ray that meets the surface square on, metres."""
+        return np.asarray(np.hypot(self.sigma, self.along))
 
     @property
     def _peak(self) -> Array:
         """(M,) density of anything else, relative to the peak of a right point's."""
-        peak: Array = np.sqrt(2.0 * np.pi) * self.sigma / self.odds.span
+        peak: Array = np.sqrt(2.0 * np.pi) * self._spread / np.maximum(self.odds.span, SPREAD * self.along)
         return peak
 
     def _elsewhere(self, local: Array, sensor: Array, size: Array) -> Array:
@@ -156,35 +253,57 @@ class PointRows:
         half = self.odds.core / 2.0 * np.array([length, height, width])
         middle = np.array([0.0, -height / 2.0, 0.0])
         ray = local - sensor
-        ray = np.where(np.abs(ray) > 1e-9, ray, 1e-9)
-        one, other = (middle - half - sensor) / ray, (middle + half - sensor) / ray
-        enters, leaves = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+        far = np.linalg.norm(ray, axis=1)
+        enters, leaves = _crossing(sensor, ray, middle, half)
         hits = leaves > np.maximum(enters, 0.0)
-        inside = (np.minimum(leaves, 1.0) - np.maximum(enters, 0.0)) * np.linalg.norm(ray, axis=1)
-        elsewhere = np.where(hits & (enters >= 1.0), self.odds.before, 1.0)
-        return np.where(hits & (inside > self.odds.deepest), self.odds.through, elsewhere)
+        inside = (np.minimum(leaves, 1.0) - np.maximum(enters, 0.0)) * far
+        sharp = np.where(hits & (enters >= 1.0), self.odds.before, 1.0)
+        sharp = np.where(hits & (inside > self.odds.deepest), self.odds.through, sharp)
+        if not self.along.any():
+            return sharp
+        noise = np.maximum(self.along, 1e-9) / SOFTNESS
+        past = (1.0 - np.where(hits, enters, 0.0)) * far
+        before = 1.0 / (1.0 + np.exp(np.clip(past / noise, -50.0, 50.0)))
+        deep = 1.0 / (1.0 + np.exp(np.clip((self.odds.deepest - past) / noise, -50.0, 50.0)))
+        soft = 1.0 + before * (self.odds.before - 1.0) + deep * (self.odds.through - 1.0)
+        return np.where((self.along > 0.0) & hits, soft, sharp)
 
     def distances(
-        self, match: Match, rotation: Array, translation: Array, coefficients: Array, *, want: bool
+        self,
+        match: Match,
+        rotation: Array,
+        translation: Array,
+        coefficients: Array,
+        shared: Array = NOTHING_SHARED,
+        *,
+        want: bool,
     ) -> tuple[Array, Array | None]:
-        """Whitened distances (M,) from the patches of a match, and where wanted their derivative (M, 6 + N).
+        """Whitened distances (M,) from the patches of a match, and where wanted their derivative (M, 6 + N + C).
 
-        By a turn about the object's axes, a shift along them, and the coefficients.
+        By a turn about the object's axes, a shift along them, the coefficients, and the C numbers that points share.
         """
         if self.compiled is not None:
             found: tuple[Array, Array | None] = self.compiled.distances(
-                match.patch, rotation, translation, coefficients, want
+                match.patch, match.sigma, rotation, translation, coefficients, shared, want
             )
             return found
         patches, patch = self.patches, match.patch
-        local = (self.points - translation) @ rotation
+        local = (self.placed(shared) - translation) @ rotation
         basis, normal = patches.basis[:, patch], patches.normal[patch]
-        off = ((local - patches.mean[patch] - np.tensordot(coefficients, basis, axes=1)) * normal).sum(axis=1)
+        off = ((local - self._centres(patch, coefficients)) * normal).sum(axis=1)
         if not want:
-            return off / self.sigma, None
+            return off / match.sigma, None
         by_coefficients = -(basis * normal).sum(axis=-1).T
-        jacobian = np.concatenate([np.cross(normal, local), -normal, by_coefficients], axis=1)
-        return off / self.sigma, jacobian / self.sigma[:, None]
+        parts = [np.cross(normal, local), -normal, by_coefficients]
+        if self.shared is not Shared.NONE:
+            ratio, depth, scale = self._ratio(shared), self.points[:, 2], np.exp(shared[0])
+            by_ratio = ((self.points @ rotation) * normal).sum(axis=1)
+            if self.shared is Shared.DEPTH:
+                by_shared = np.stack([np.full(len(depth), scale), 1.0 / depth], axis=1)
+            else:
+                by_shared = -(ratio**2)[:, None] * np.stack([np.full(len(depth), scale), depth], axis=1)
+            parts.append(by_ratio[:, None] * by_shared)
+        return off / match.sigma, np.concatenate(parts, axis=1) / match.sigma[:, None]
 
     def assess(self, match: Match, distances: Array) -> tuple[Array, float]:
         """Weights (M,) of the points, and their energy, nats."""
@@ -194,42 +313,70 @@ class PointRows:
         return weights, self.share * float((np.where(outliers, 0.0, losses) + off).sum())
 
 
+State = tuple[Array, Array, Array, Array]
+"""Rotation (3, 3), translation (3,), coefficients (N,), and what points share (2,)."""
+
+
 class SurfacePointsFactor(SensedFactor):
-    """Points on pose and lambda; matches and weights are set between steps.
+    """Points on pose and lambda, and on what all points of the image share; matches and weights are set between steps.
 
     Attributes:
         rows: The points.
         weights: (M,) weights of the points there.
     """
 
-    name = "points"
-
     def __init__(
-        self, rows: PointRows, pose: int | Array, coefficients: int | Array, share: float = 1.0, common: float = 1.0
+        self,
+        rows: PointRows,
+        pose: int | Array,
+        coefficients: int | Array,
+        shared: int | Array = NOTHING_SHARED,
+        share: float = 1.0,
+        name: str = "points",
     ) -> None:
-        """Bind the points to variables by their keys, or to constants: camera_T_object (4, 4), lambda (N,)."""
-        super().__init__(pose, coefficients, len(rows.patches.basis), len(rows.points))
-        self.rows, self._share, self.common_factor = rows, share * rows.share, common
+        """Bind the points to variables by their keys, or to constants.
+
+        Args:
+            rows: The points.
+            pose: camera_T_object, or (4, 4).
+            coefficients: lambda, or (N,).
+            shared: What the points share, or (2,); not used where they share nothing.
+            share: Share of its information that the observation has.
+            name: What measured them.
+        """
+        more = [] if rows.shared is Shared.NONE else [(shared, 2)]
+        super().__init__(pose, coefficients, len(rows.patches.basis), len(rows.points), more)
+        self.rows, self.name, self._share = rows, name, share * rows.share
         self._share_of_image = share
         self._matches = 0
         if rows.compiled is not None:
             self._source = rows.kernel.PointSource(rows.compiled, self._share)
-        self._matched: tuple[tuple[Array, Array, Array], Match] | None = None
+        self._matched: tuple[State, Match] | None = None
         self.weights = np.zeros(len(rows.points))
+
+    def _state(self, values: gtsam.Values) -> State:
+        """Rotation, translation, coefficients and what points share at the values."""
+        shared = self.others(values)
+        return *self.state(values), shared[0] if shared else NOTHING_SHARED
 
     def look(self, values: gtsam.Values, *, hold: bool = False) -> None:
         """Match the points at the values and weigh them.
 
         Near where they were matched last they keep their patches, and where that is requested.
         """
-        state = self.state(values)
+        state = self._state(values)
         near = min(NEAR * NEARER**self._matches, NEAREST)
         if self._matched is None or not (hold or _alike(self._matched[0], state, near)):
             self._matched, self._matches = (state, self.rows.match(*state)), self._matches + 1
         match = self._matched[1]
         self.weights, _ = self.rows.assess(match, self.rows.distances(match, *state, want=False)[0])
         if self._source is not None:
-            self._source.tell(match.patch, match.right, match.wrong, self.weights)
+            self._source.tell(match.patch, match.right, match.wrong, match.sigma, self.weights)
+
+    @property
+    def points(self) -> Array:
+        """(M, 3) the points in the camera's frame, by what they share where they were looked at last."""
+        return self.rows.placed(NOTHING_SHARED if self._matched is None else self._matched[0][3])
 
     def tell(self, form: Form, common_factor: float = 1.0) -> None:
         """Set the form, and by how much less the points say with `Form.WEIGHTED`."""
@@ -239,7 +386,7 @@ class SurfacePointsFactor(SensedFactor):
 
     def energy(self, values: gtsam.Values) -> float:
         """The energy at the values with the patches of their own, nats; what is set stays as it is."""
-        state = self.state(values)
+        state = self._state(values)
         match = self.rows.match(*state)
         distances, _ = self.rows.distances(match, *state, want=False)
         return self._share_of_image * self.rows.assess(match, distances)[1]
@@ -250,7 +397,7 @@ class SurfacePointsFactor(SensedFactor):
             self.look(values)
         assert self._matched is not None
         match = self._matched[1]
-        distances, jacobian = self.rows.distances(match, *self.state(values), want=want_jacobian)
+        distances, jacobian = self.rows.distances(match, *self._state(values), want=want_jacobian)
         return self._robust(self.weights, (match.right, match.wrong), distances, jacobian, share=self._share)
 
 
@@ -261,7 +408,15 @@ NEARER, NEAREST = 1.5, 0.05
 """By how much that grows with each match, and to what: matches that lead to and fro come to an end."""
 
 
-def _alike(one: tuple[Array, Array, Array], other: tuple[Array, Array, Array], near: float) -> bool:
+def _alike(one: State, other: State, near: float) -> bool:
     """Whether two poses and shapes differ by so little that points keep their patches."""
-    turn, shift, change = (float(np.abs(a - b).max(initial=0.0)) for a, b in zip(one, other, strict=True))
-    return max(turn, shift, 0.1 * change) < near
+    changes = (float(np.abs(a - b).max(initial=0.0)) for a, b in zip(one, other, strict=True))
+    turn, shift, change, shared = changes
+    return max(turn, shift, 0.1 * change, shared) < near
+
+
+def _crossing(sensor: Array, ray: Array, middle: Array, half: Array) -> tuple[Array, Array]:
+    """(M,) where rays (M, 3) from a sensor enter and leave a cuboid, in lengths of the rays."""
+    safe = np.where(np.abs(ray) > 1e-9, ray, 1e-9)
+    one, other = (middle - half - sensor) / safe, (middle + half - sensor) / safe
+    return np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)

@@ -25,7 +25,8 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.box3d import Box3D, BoxErrors
     from fgrecon.core.camera import Camera, Ground
     from fgrecon.core.category import Category, MotionModel
-    from fgrecon.core.choices import BoxModel, StrategyName
+    from fgrecon.core.choices import BoxModel, DepthScale, StrategyName
+    from fgrecon.core.depth_map import DepthCalibration, DepthMap
     from fgrecon.core.detection import Detection
     from fgrecon.core.detector_calibration import DetectorCalibration
     from fgrecon.core.evidence import Points, Range, RangeRate
@@ -39,6 +40,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.scene_reconstruction import SceneReconstruction
     from fgrecon.core.shape_prior import ShapePrior, Surface
     from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
+    from fgrecon.core.stereo_pair import StereoPair
     from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
     from fgrecon.core.vehicle_class import VehicleClass
     from fgrecon.core.vehicle_estimate import VehicleEstimate
@@ -63,6 +65,9 @@ __all__ = [
     "BoxOptions",
     "Camera",
     "Category",
+    "DepthCalibration",
+    "DepthMap",
+    "DepthScale",
     "Detection",
     "DetectorCalibration",
     "FromImage",
@@ -89,6 +94,7 @@ __all__ = [
     "ShapePrior",
     "SizePrior",
     "Status",
+    "StereoPair",
     "StrategyName",
     "Surface",
     "TrackReconstruction",

@@ -68,3 +68,14 @@ class StrategyName(StrEnum):
     GEMAN_MCCLURE = "geman_mcclure"
     TUKEY = "tukey"
     GNC = "gnc"
+
+
+class DepthScale(StrEnum):
+    """What the numbers of a depth map are."""
+
+    METRIC = "metric"
+    """Metres."""
+    SCALE = "scale"
+    """Metres times an unknown number."""
+    SCALE_AND_SHIFT = "scale_and_shift"
+    """Metres times an unknown number, and plus one."""

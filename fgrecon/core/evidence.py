@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_either, as_finite, as_list, as_shape, own
+from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.mask import Mask
 from fgrecon.core.repr import brief_repr
+from fgrecon.core.stereo_pair import StereoPair
 from fgrecon.core.vehicle_class import VehicleClass
 
 _LEAST_SIGMA, _LARGEST_SIGMA = 1e-4, 100.0  # metres
@@ -130,7 +132,7 @@ def _keep(evidence: Range | RangeRate, kind: str, name: str, fix: str, limits: t
     object.__setattr__(evidence, name, value)
 
 
-Evidence = Points | VehicleClass | Range | RangeRate | Mask
+Evidence = Points | DepthMap | StereoPair | VehicleClass | Range | RangeRate | Mask
 """What may be given as evidence."""
 
 

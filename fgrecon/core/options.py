@@ -195,6 +195,7 @@ class Options:
         "ground",
         "direction",
         "points",
+        "depth",
         "range",
         "mask",
     )

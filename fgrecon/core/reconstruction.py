@@ -169,6 +169,9 @@ class Diagnostics(LazyFields):
         point_weights: (N,) final weight of each in [0, 1]: how surely it is the vehicle's.
         evidence: By kind of what was given beside the picture, by how many times it makes the position's standard
             deviation smaller.
+        depth_scales: (Q, 2) scale and shift of each depth map whose pixels share an error, by all vehicles that were
+            solved together (`fgrecon.DepthCalibration`); of metric ones those of the inverse depth.
+        depth_covariances: (Q, 2, 2) of these.
     """
 
     weights: NDArray[np.float64]
@@ -186,6 +189,8 @@ class Diagnostics(LazyFields):
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     point_weights: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     evidence: Mapping[str, float] = field(default_factory=dict)
+    depth_scales: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    depth_covariances: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2, 2)))
 
     __repr__ = brief_repr
 

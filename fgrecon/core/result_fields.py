@@ -59,7 +59,7 @@ class ResultField:
     Attributes:
         group: Attribute of `Reconstruction` that has it; empty where that is the result itself.
         read: From its plain value.
-        shape: Of an array: K keypoints, N coefficients, P points, None is any number.
+        shape: Of an array: K keypoints, N coefficients, P points, Q depth maps, None is any number.
         nullable: Whether it can be null.
         later: Whether earlier files have it not.
         large: Whether the compact form leaves it out.
@@ -119,6 +119,8 @@ FIELDS: Mapping[str, ResultField] = {
     "points": ResultField("diagnostics", shape=("P", 3), later=True, large=True, spare=True),
     "point_weights": ResultField("diagnostics", shape=("P",), later=True, large=True, spare=True),
     "evidence": ResultField("diagnostics", numbers, later=True, spare=True),
+    "depth_scales": ResultField("diagnostics", shape=("Q", 2), later=True, spare=True),
+    "depth_covariances": ResultField("diagnostics", shape=("Q", 2, 2), later=True, spare=True),
 }
 """By name, in the order of files."""
 
@@ -169,6 +171,7 @@ def check_shapes(values: Mapping[str, Any]) -> None:
     if not all(isinstance(name, str) for name in names):
         raise InvalidInputError("keypoint_names", names, f"{_FIX}: names are texts.")
     lengths = {"K": len(names), "N": np.size(values["coefficients"]), "P": len(values.get("points", ()))}
+    lengths["Q"] = len(values.get("depth_scales", ()))
     _check("", values, lengths)
     for name in ("pose_covariance", "size_covariance"):
         if values.get(name) is not None and not np.isfinite(values[name]).all():

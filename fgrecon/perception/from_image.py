@@ -26,6 +26,7 @@ from fgrecon.io.images import read_photograph
 from fgrecon.perception.boxes import for_detected, large_vehicles
 from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find_keypoints
+from fgrecon.perception.stereo import with_depths
 from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.terms import direction_penalty as penalty_of
@@ -183,8 +184,8 @@ def reconstruct_image(
             is not known they are solved together in any case.
         classes: Which class the vehicle in each box is of, which tells its size; `detected` for what the vehicle
             detector says; or `keypoints` for the kinds that the keypoint networks say. None where nobody says.
-        evidence: What other sensors say of the vehicles, such as `fgrecon.Points` of a scan in the camera's frame, or a
-            `fgrecon.Mask` of each.
+        evidence: What other sensors say of the vehicles, such as `fgrecon.Points` of a scan in the camera's frame, a
+            `fgrecon.DepthMap`, a `fgrecon.StereoPair` whose left image this is, or a `fgrecon.Mask` of each.
         extra_factors: The caller's own factors on the poses X(v, 0) and lambdas L(v), v the number of the box, and the
             ground G(0), as `fgrecon.reconstruct_scene` has them; the vehicles have to be solved together.
 
@@ -215,7 +216,7 @@ def reconstruct_image(
         classes = [None if one.kinds is None else VehicleClass(one.kinds) for one in detections]
     detections = _with_classes(detections, named if classes == "detected" else classes)
     how: dict[str, Any] = {"ground": ground, "size_prior": size_prior, "options": options, "together": together}
-    how |= {"evidence": evidence, "extra_factors": extra_factors}
+    how |= {"evidence": with_depths(evidence, pixels, sized), "extra_factors": extra_factors}
     vehicles = reconstruct_detections(detections, sized, prior=shape_prior, **how)
     estimated = next((one.camera for one in vehicles if one.result is not None), None)
     if known is None and estimated is not None:

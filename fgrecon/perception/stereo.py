@@ -8,6 +8,7 @@ error of e pixels is one of e z^2 / (f b) metres.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
+from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import Evidence, as_evidence
 from fgrecon.core.stereo_pair import StereoPair
 from fgrecon.perception.keypoints.detect import as_rgb8
 
@@ -46,25 +49,18 @@ _LEVEL = 1e-3  # by so much rotation matrices and shares of intrinsics may diffe
 _STEPS = 16.0  # of a disparity in OpenCV's whole numbers
 
 
-@dataclass(frozen=True, eq=False)
-class StereoDepth:
-    """The depth of a left image.
+def with_depths(evidence: Sequence[Evidence], image: NDArray[Any], camera: Camera) -> tuple[Evidence, ...]:
+    """Evidence with the depth map of each pair whose left image (H, W, 3) this is, in the place of the pair.
 
-    Attributes:
-        depth: (H, W) metres along the camera's z axis, NaN where no match is sure.
-        sigma: (H, W) its standard deviation, metres, of one pixel to the next.
-        shared_sigma: (H, W) that of the error that all pixels of the pair share.
+    Raises:
+        InvalidInputError: It is no evidence, or the images of a pair differ in size.
     """
-
-    depth: Array
-    sigma: Array
-    shared_sigma: Array
+    given = as_evidence(evidence) if evidence else ()
+    return tuple(stereo_depth(image, camera, one) if isinstance(one, StereoPair) else one for one in given)
 
 
-def stereo_depth(
-    left: NDArray[Any], camera: Camera, pair: StereoPair, settings: StereoSettings = SETTINGS
-) -> StereoDepth:
-    """The depth of each pixel of a left image.
+def stereo_depth(left: NDArray[Any], camera: Camera, pair: StereoPair, settings: StereoSettings = SETTINGS) -> DepthMap:
+    """The depth of each pixel of a left image, NaN where no match is sure, and the error that all of them share.
 
     Args:
         left: (H, W, 3) RGB, or grey; 8 or 16 bits.
@@ -86,8 +82,8 @@ def stereo_depth(
         depth = product / np.where(disparity > 0.0, disparity, np.nan)
     else:
         depth, product = _unrectified(images, camera, pair, settings)
-    scale = depth**2 / product
-    return StereoDepth(depth, settings.disparity_sigma_px * scale, settings.offset_sigma_px * scale)
+    sigma = settings.disparity_sigma_px * depth**2 / product
+    return DepthMap(depth, sigma, relative_sigma=0.0, shared_sigma=settings.offset_sigma_px / product)
 
 
 def _is_rectified(camera: Camera, right: Camera, motion: Array) -> bool:

@@ -21,6 +21,7 @@ from fgrecon.core.half_turn import flipped_alternative
 from fgrecon.core.input_warnings import InputWarning
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.reconstruction import Alternative, rotation_y
+from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.multi_start import MultiStartResult, SolvedStage, minimise_from_proposals
@@ -129,6 +130,8 @@ def solve_independently(
     coupled: dict[int, Observation] = {}
     for image in dict.fromkeys(image_of or [0]):
         own = {number: one for number, one in seen.items() if image_of is None or image_of[number] == image}
+        own = dict(zip(own, with_scales([*own.values()], camera, setup), strict=True))
+        seen |= own
         facings = couple_facings([*own.values()], camera, setup.model.prior, setup.options)
         coupled |= zip(own, facings, strict=True)
     for number, observation in seen.items():

@@ -16,6 +16,7 @@ from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_instance, as_list, as_rigid, as_shape
+from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Evidence, Points, Range, RangeRate, as_evidence
 from fgrecon.core.input_warnings import InputWarning, input_warning_of, strays
@@ -25,6 +26,7 @@ from fgrecon.core.options import Options, checked_options
 from fgrecon.core.point_frames import check_points
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import CLASSES, SizePrior, SizesLike, check_order, other_fleets, size_prior
+from fgrecon.core.stereo_pair import StereoPair
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior, shipped_class_sizes
 from fgrecon.io.image_size import scale_between
@@ -352,6 +354,12 @@ def evidence_of(given: Sequence[Evidence], camera: Camera, *, of_all: bool = Fal
             raise InvalidInputError(f"evidence[{number}]", one, fix)
         if isinstance(one, Points) and len(one.points):
             check_points(one.points, camera, f"evidence[{number}]")
+        elif isinstance(one, DepthMap) and camera.image_size not in (None, one.depth.shape[::-1]):
+            fix = "Give a depth for each pixel of the image of {} x {}.".format(*camera.image_size)
+            raise InvalidInputError(f"evidence[{number}]", f"a depth map of shape {one.depth.shape}", fix)
+        elif isinstance(one, StereoPair):
+            fix = "Give it to what has the left image, such as `fgrecon.reconstruct_image`; or the depth it makes."
+            raise InvalidInputError(f"evidence[{number}]", "a stereo pair without the left image", fix)
     return evidence
 
 

@@ -18,6 +18,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
+from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.image_facing import single_pose
@@ -89,7 +90,7 @@ def reconstruct(
         warn_of(InputWarnings.of({"the vehicle": observed.warning}), stacklevel=3)
 
     started = perf_counter()
-    problem, pose = single_pose(observed.observation, camera, setup, start)
+    problem, pose = single_pose(with_scales([observed.observation], camera, setup)[0], camera, setup, start)
     posed = perf_counter()
     seen = [GraphObservation(problem)]
     adjusted = minimise_from_proposals(seen, [pose], factors)

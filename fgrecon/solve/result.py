@@ -86,6 +86,7 @@ def marginalise(graph: Graph, optimum: Optimum, at_once: Collection[int] | None 
         parts = [part for i, part in enumerate(graph.observations) if i in at_once]
         keys = {part.pose_key for part in parts if part.pose_key is not None}
         keys |= {key for vehicle in graph.vehicles.values() for key in vehicle.shape.keys}
+        keys |= graph.shared.maps.keys()
     return Marginalised(values, weights, marginals_of(graph, values, weights, keys))
 
 
@@ -148,6 +149,7 @@ def results(
             "points": points,
             "point_weights": point_weights,
             "evidence": gained,
+            **_depth_scales(graph, known, i),
         }
         found.append(_result(end, diagnostics))
     return found
@@ -166,6 +168,20 @@ def _gained(
         if before is not None:
             found[name] = float(np.sqrt(np.trace(before[3:, 3:]) / np.trace(uncertainty.pose[3:, 3:])))
     return found
+
+
+def _depth_scales(graph: Graph, known: Marginalised, index: int) -> dict[str, Array]:
+    """Scale and shift (Q, 2) of each depth map that an observation shares, and their covariances (Q, 2, 2)."""
+    keys = [key for key in graph.shared.of(graph.observations[index]) if known.values.exists(key)]
+    if not keys:
+        return {}
+    found = []
+    for key in keys:
+        covariance, depth = covariance_of(known.marginals, key), graph.shared.maps[key]
+        unknown = np.full((2, 2), np.nan) if covariance is None else covariance
+        found.append(depth.calibrated(known.values.atVector(key), unknown))
+    scales = np.array([(scale, shift) for scale, shift, _ in found])
+    return {"depth_scales": scales, "depth_covariances": np.array([one for _, _, one in found])}
 
 
 def pose_history(

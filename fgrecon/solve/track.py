@@ -35,6 +35,7 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
+from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.graph.records import graph_factors, joint_steps
@@ -154,7 +155,8 @@ def _posed(
         try:
             observation, doubt = observe(given, camera, setup.prior.category, setup.options)
             doubts.add(f"image {number}", doubt)
-            problem, start = single_pose(observation, camera, setup, model=model)
+            scaled = with_scales([observation], camera, setup)[0]
+            problem, start = single_pose(scaled, camera, setup, model=model)
         except (DegenerateProblemError, InvalidInputError) as error:
             bad = error if bad is None and isinstance(error, InvalidInputError) else bad
             refused[number] = str(error)

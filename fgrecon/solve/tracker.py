@@ -33,6 +33,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
+from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, look_at_vehicles
 from fgrecon.solve.graph.records import graph_factors
 from fgrecon.solve.ground_filter import CameraFrame, GroundFilter
@@ -249,7 +250,8 @@ class Tracker:
             except FgreconError as error:
                 refused[name] = error
         warn_of(doubts, stacklevel=5)
-        coupled = couple_facings([*found.values()], camera, self._setup.prior, self._setup.options, rows=False)
+        scaled = with_scales([*found.values()], camera, self._setup)
+        coupled = couple_facings(scaled, camera, self._setup.prior, self._setup.options, rows=False)
         return dict(zip(found, coupled, strict=True)), refused
 
     @single_threaded

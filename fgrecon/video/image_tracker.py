@@ -26,6 +26,7 @@ from fgrecon.io.poses import CameraPoses
 from fgrecon.perception.boxes import for_detected
 from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, check_category
+from fgrecon.perception.stereo import with_depths
 from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.inputs import as_camera_pose, as_ground, calibrated
 from fgrecon.solve.tracker import Tracker
@@ -124,7 +125,7 @@ class ImageTracker:
                 poses=CameraPoses(self._places),
                 sense=lambda _: self._evidence,
             )
-        self._evidence = evidence
+        self._evidence = with_depths(evidence, pixels, seen_by)
         self._follower.camera, self._follower.ground = seen_by, plane
         self.frame = self._follower(record)
         return dict(self.frame.estimates)

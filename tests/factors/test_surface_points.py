@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from gtsam.utils.numerical_derivative import numericalDerivative11
 
-from factors import L, X
+from factors import D, L, X
 from factors.mixture import Form
 from factors.native import native
 from factors.surface_patches import SurfacePatches
-from factors.surface_points import PointOdds, PointRows, SurfacePointsFactor
+from factors.surface_points import PointOdds, PointRows, Shared, SurfacePointsFactor
 
 ODDS = PointOdds(vehicle=0.5, span=4.0, before=0.3, through=0.05, deepest=0.5, core=0.85, reach=0.1, reach_sigma=0.12)
 FACES = np.array(
@@ -74,7 +74,25 @@ def _rows() -> PointRows:
     points = measured(np.random.default_rng(1), POSE)
     size, basis = np.array([4.0, 1.8, 1.5]), np.array([[0.4, 0.0], [0.0, 0.0], [0.0, 0.15]])
     patches = SurfacePatches.of(*cuboid())
-    return PointRows(points, np.full(len(points), 0.05), np.zeros(3), patches, size, basis, ODDS, 0.5)
+    sigma, none = np.full(len(points), 0.05), np.zeros(len(points))
+    return PointRows(points, sigma, np.zeros(3), patches, size, basis, ODDS, 0.5, none)
+
+
+@pytest.fixture(name="kind", params=[*Shared])
+def _kind(request: pytest.FixtureRequest, rows: PointRows) -> PointRows:
+    """Points that share nothing, and those of depth maps, unsure along their rays."""
+    if request.param is Shared.NONE:
+        return rows
+    along = np.random.default_rng(4).uniform(0.05, 0.8, len(rows.points))
+    return replace(rows, along=along, shared=request.param)
+
+
+SHARED = np.array([0.02, 0.03])
+
+
+def bound(rows: PointRows, share: float = 1.0) -> SurfacePointsFactor:
+    """The factor of all variables that the points have."""
+    return SurfacePointsFactor(rows, X(0, 0), L(0), D(0), share)
 
 
 def at(rows: PointRows, change: np.ndarray, coefficients: np.ndarray) -> gtsam.Values:
@@ -82,6 +100,8 @@ def at(rows: PointRows, change: np.ndarray, coefficients: np.ndarray) -> gtsam.V
     values = gtsam.Values()
     values.insert(X(0, 0), POSE.retract(change))
     values.insert(L(0), coefficients)
+    if rows.shared is not Shared.NONE:
+        values.insert(D(0), SHARED * (1.0 if rows.shared is Shared.DEPTH else 0.1))
     return values
 
 
@@ -89,9 +109,9 @@ CHANGE = np.array([0.01, 0.03, -0.02, 0.05, 0.02, -0.04])
 
 
 @pytest.mark.parametrize("form", [Form.WEIGHTED, Form.MAJORISED])
-def test_the_jacobian_is_the_numeric_one(rows: PointRows, form: Form) -> None:
-    factor = SurfacePointsFactor(rows, X(0, 0), L(0))
-    values = at(rows, CHANGE, np.array([0.3, -0.5]))
+def test_the_jacobian_is_the_numeric_one(kind: PointRows, form: Form) -> None:
+    factor = bound(kind)
+    values = at(kind, CHANGE, np.array([0.3, -0.5]))
     factor.look(values)
     factor.tell(Form.WEIGHTED)
     _, jacobian = factor(values, want_jacobian=True)
@@ -101,13 +121,15 @@ def test_the_jacobian_is_the_numeric_one(rows: PointRows, form: Form) -> None:
 
     by_pose = numericalDerivative11(lambda pose: residual(X(0, 0), pose), values.atPose3(X(0, 0)))
     by_shape = numericalDerivative11(lambda x: residual(L(0), x), values.atVector(L(0)))
-    numeric = np.hstack([by_pose, by_shape])
-    assert jacobian == pytest.approx(numeric, abs=2e-5)
+    numeric = [by_pose, by_shape]
+    if values.exists(D(0)):
+        numeric.append(numericalDerivative11(lambda x: residual(D(0), x), values.atVector(D(0))))
+    assert jacobian == pytest.approx(np.hstack(numeric), rel=1e-5, abs=2e-5)
     factor.tell(form)
     rows_at, by = factor(values, want_jacobian=True)
     assert by is not None
     gradient = by.T @ rows_at
-    steps = np.eye(8) * 1e-6
+    steps = np.eye(len(gradient)) * 1e-6
     slope = [
         (factor.error(_moved(values, step)) - factor.error(_moved(values, -step))) / 2e-6
         for step in steps
@@ -125,25 +147,28 @@ def _with(values: gtsam.Values, key: int, value: object) -> gtsam.Values:
 def _moved(values: gtsam.Values, step: np.ndarray) -> gtsam.Values:
     other = gtsam.Values(values)
     other.update(X(0, 0), values.atPose3(X(0, 0)).retract(step[:6]))
-    other.update(L(0), values.atVector(L(0)) + step[6:])
+    other.update(L(0), values.atVector(L(0)) + step[6:8])
+    if values.exists(D(0)):
+        other.update(D(0), values.atVector(D(0)) + step[8:])
     return other
 
 
 @pytest.mark.skipif(native("factors._points") is None, reason="no compiled kernel")
-def test_the_compiled_rows_are_those_of_numpy(rows: PointRows) -> None:
-    plain = replace(rows)
+def test_the_compiled_rows_are_those_of_numpy(kind: PointRows) -> None:
+    rows, plain = kind, replace(kind)
     plain.__dict__["compiled"] = None
     rng = np.random.default_rng(2)
     for _ in range(5):
         pose = POSE.retract(rng.normal(0.0, 0.2, 6))
-        state = pose.rotation().matrix(), pose.translation(), rng.normal(0.0, 1.0, 2)
+        state = pose.rotation().matrix(), pose.translation(), rng.normal(0.0, 1.0, 2), SHARED
         match, other = rows.match(*state), plain.match(*state)
         assert (match.patch == other.patch).all()
         assert match.right == pytest.approx(other.right, abs=1e-12)
         assert match.wrong == pytest.approx(other.wrong, abs=1e-12)
+        assert match.sigma == pytest.approx(other.sigma, abs=1e-12)
         (off, by), (other_off, other_by) = (one.distances(match, *state, want=True) for one in (rows, plain))
         assert off == pytest.approx(other_off, abs=1e-9)
-        assert by == pytest.approx(other_by, abs=1e-9)
+        assert by == pytest.approx(other_by, rel=1e-9, abs=1e-9)
 
 
 def test_points_bring_a_vehicle_to_its_place_and_size(rows: PointRows) -> None:
@@ -169,7 +194,7 @@ def test_points_far_inside_or_behind_cost_more_than_those_beside(rows: PointRows
     beside, behind = np.array([[4.0, 0.0, 12.0]]), np.array([[1.3, 1.0, 20.0]])
     energies = []
     for points in (beside, behind):
-        one = replace(rows, points=points, sigma=np.array([0.05]))
+        one = replace(rows, points=points, sigma=np.array([0.05]), along=np.zeros(1))
         state = POSE.rotation().matrix(), POSE.translation(), np.zeros(2)
         match = one.match(*state)
         energies.append(one.assess(match, one.distances(match, *state, want=False)[0])[1])
@@ -189,8 +214,8 @@ def test_constants_are_no_variables(rows: PointRows) -> None:
 @pytest.mark.skipif(native("factors._points") is None, reason="no compiled kernel")
 @pytest.mark.parametrize("form", [*Form])
 @pytest.mark.parametrize("looked", [True, False])
-def test_the_compiled_rows_of_a_graph_are_those_of_the_callback(rows: PointRows, form: Form, looked: bool) -> None:
-    callback = SurfacePointsFactor(rows, X(0, 0), L(0), share=0.5)
+def test_the_compiled_rows_of_a_graph_are_those_of_the_callback(kind: PointRows, form: Form, looked: bool) -> None:
+    rows, callback = kind, bound(kind, 0.5)
     values = at(rows, CHANGE, np.array([0.3, -0.5]))
     callback.tell(form, 4.0)
     factor = callback.factor()
@@ -198,9 +223,40 @@ def test_the_compiled_rows_of_a_graph_are_those_of_the_callback(rows: PointRows,
         callback.look(values)
     pose, coefficients = values.atPose3(X(0, 0)).matrix(), values.atVector(L(0))
     state = [np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]]), coefficients]
-    residual, jacobian = np.empty(len(rows.points)), np.zeros((len(rows.points), 8))
+    if rows.shared is not Shared.NONE:
+        state.append(values.atVector(D(0)))
+    residual, jacobian = np.empty(len(rows.points)), np.zeros((len(rows.points), factor.compiled.source.columns))
     factor.compiled.source.evaluate(state, residual, jacobian)
     expected, by = callback(values, want_jacobian=True)
     assert residual == pytest.approx(expected, abs=1e-9)
     if form is not Form.LOSS:  # which has no derivatives
-        assert jacobian == pytest.approx(by, abs=1e-8)
+        assert jacobian == pytest.approx(by, rel=1e-8, abs=1e-8)
+
+
+def test_a_point_that_is_unsure_along_its_ray_is_on_the_patch_that_the_ray_meets(rows: PointRows) -> None:
+    """Pixels on the rear, put metres nearer or farther along their rays, stay the rear's and are no worse for it."""
+    rear = np.array([[-2.0, y, z] for y in np.linspace(-1.2, -0.3, 7) for z in np.linspace(-0.6, 0.6, 7)])
+    pose = gtsam.Pose3(gtsam.Rot3.Ry(-1.5), np.array([0.5, 1.6, 12.0]))
+    true = rear @ pose.rotation().matrix().T + pose.translation()
+    state, ones = (pose.rotation().matrix(), pose.translation(), np.zeros(2)), np.ones(len(rear))
+    for moved in (-1.5, 0.0, 1.5):
+        points = true * (1.0 + moved / np.linalg.norm(true, axis=1))[:, None]
+        pixels = replace(rows, points=points, sigma=0.05 * ones, along=ones)
+        match = pixels.match(*state)
+        assert (pixels.patches.normal[match.patch][:, 0] < -0.99).all()
+        assert match.right.min() > 0.3
+        off = pixels.distances(match, *state, want=False)[0]
+        assert off == pytest.approx(-moved * ones, abs=0.05)  # the rear's normal points to the camera
+
+
+def test_what_pixels_share_moves_them_along_their_rays(kind: PointRows) -> None:
+    placed = kind.placed(SHARED)
+    if kind.shared is Shared.NONE:
+        assert placed is kind.points
+        return
+    before, after = kind.points[:, 2], placed[:, 2]
+    if kind.shared is Shared.DEPTH:
+        assert after == pytest.approx(np.exp(0.02) * before + 0.03)
+    else:
+        assert 1.0 / after == pytest.approx(np.exp(0.02) / before + 0.03)
+    assert placed / after[:, None] == pytest.approx(kind.points / before[:, None])

@@ -62,7 +62,7 @@ def test_depth_of_a_board_before_a_wall(motion: np.ndarray, right: Camera) -> No
     np.testing.assert_allclose(
         found.sigma[matched], SETTINGS.disparity_sigma_px * found.depth[matched] ** 2 / (FOCAL * BASELINE), rtol=0.3
     )
-    assert np.isnan(found.sigma[~matched]).all()
+    assert found.shared_sigma == pytest.approx(SETTINGS.offset_sigma_px / (FOCAL * BASELINE), rel=0.3)
 
 
 def test_what_is_no_pair_is_refused() -> None:

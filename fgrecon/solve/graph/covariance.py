@@ -176,9 +176,9 @@ def undetermined(graph: Graph, values: gtsam.Values, weights: Sequence[Weights])
 
 
 def _vehicle(key: int) -> int | None:
-    """The vehicle of a variable; None of the ground, the focal length and the fleet."""
+    """The vehicle of a variable; None of the ground, the focal length, depth maps and the fleet."""
     letter, vehicle, _ = decode_key(key)
-    return None if letter in "GFS" else vehicle
+    return None if letter in "DGFS" else vehicle
 
 
 def read_covariances(

@@ -27,6 +27,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 from fgrecon.solve.graph.sensed_part import common_factor, sensed_of
+from fgrecon.solve.graph.shared_depths import SHARED, SharedDepths
 from fgrecon.solve.graph.vehicle_part import ShapeValues, Terms, VehiclePart, is_any_fleets, vehicle_part
 from fgrecon.solve.proposals.problem import Problem
 
@@ -137,13 +138,15 @@ class Graph:
                     focal_free=state.others.exists(F(one.image)),
                 )
             )
-        each = [(i, found, found.factor()) for i, part in enumerate(self.observations) for found in sensed_of(part)]
+        self.shared = SharedDepths(self.observations, free=pose_free and not hold_shape)
+        parts = enumerate(self.observations)
+        each = [(i, found, found.factor()) for i, part in parts for found in sensed_of(part, self.shared)]
         self.sensed: list[SensedFactor] = [found for _, found, _ in each]
         self._sensed_factors = [factor for _, _, factor in each]
         self._sensed_by = [index for index, _, _ in each]
         self._own_keys = {part.pose_key for part in self.observations if part.pose_key is not None}
         self._own_keys |= {key for vehicle in self.vehicles.values() for key in vehicle.keys}
-        keys = self._own_keys | set(state.others.keys())
+        keys = self._own_keys | set(state.others.keys()) | self.shared.maps.keys()
         self.extra = [factor for factor in extra if keys.issuperset(factor.keys())]
         if pose_free and not hold_shape and len(self.extra) < len(extra):
             unknown = {key for factor in extra for key in list(factor.keys())} - keys
@@ -160,6 +163,9 @@ class Graph:
         for number, vehicle in self.vehicles.items():
             vehicle.insert(values, *state.shapes[number])
         values.insert(state.others)
+        for key in self.shared.maps:
+            if not values.exists(key):
+                values.insert(key, np.zeros(2))
         return values
 
     def read(self, values: gtsam.Values, weights: Sequence[Weights]) -> State:
@@ -192,10 +198,10 @@ class Graph:
 
     def points_of(self, index: int) -> tuple[Array, Array]:
         """The measured points (M, 3) of an observation, and their weights (M,) where they were looked at last."""
-        for one, by in zip(self.sensed, self._sensed_by, strict=True):
-            if by == index and isinstance(one, SurfacePointsFactor):
-                return one.rows.points, one.weights
-        return np.zeros((0, 3)), np.zeros(0)
+        every = zip(self.sensed, self._sensed_by, strict=True)
+        own = [one for one, by in every if by == index and isinstance(one, SurfacePointsFactor)]
+        points = np.concatenate([np.zeros((0, 3)), *(one.points for one in own)])
+        return points, np.concatenate([np.zeros(0), *(one.weights for one in own)])
 
     def names_of(self, index: int) -> set[str]:
         """Names of what other sensors say of an observation."""
@@ -247,11 +253,13 @@ class Graph:
 
     @property
     def _own(self) -> list[gtsam.NonlinearFactor]:
-        return [factor for vehicle in self.vehicles.values() for factor in vehicle.solved]
+        own = [factor for vehicle in self.vehicles.values() for factor in vehicle.solved]
+        return [*own, *self.shared.priors]
 
     @property
     def _counted_once(self) -> list[gtsam.NonlinearFactor]:
-        return [factor for vehicle in self.vehicles.values() for factor in vehicle.counted_once]
+        own = [factor for vehicle in self.vehicles.values() for factor in vehicle.counted_once]
+        return [*own, *self.shared.priors]
 
     def system(self, values: gtsam.Values) -> System:
         """All factors of its variables, and as the other graph those with sizes counted once; made once."""
@@ -354,6 +362,8 @@ class Graph:
         for name in dict.fromkeys(one.name for one in self.sensed):
             pairs = zip(self.sensed, self._sensed_factors, strict=True)
             yield name, [factor for one, factor in pairs if one.name == name]
+        if self.shared.priors:
+            yield SHARED, self.shared.priors
         if self.extra:
             yield EXTRA, self.extra
 
@@ -365,6 +375,8 @@ class Graph:
                 energies[name] = energies.get(name, 0.0) + energy
         for one in self.sensed:
             energies[one.name] = energies.get(one.name, 0.0) + one.energy(values)
+        if self.shared.priors:
+            energies[SHARED] = sum(prior.error(values) for prior in self.shared.priors)
         if self.extra:
             energies[EXTRA] = sum(factor.error(values) for factor in self.extra)
         return energies

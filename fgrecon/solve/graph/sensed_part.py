@@ -12,19 +12,20 @@ from numpy.typing import NDArray
 from factors.distance_field import DistanceField
 from factors.sensed import SensedFactor
 from factors.silhouette import SilhouetteFactor, SilhouetteOdds, SilhouetteRows
-from factors.surface_points import SurfacePointsFactor
+from factors.surface_points import NOTHING_SHARED, SurfacePointsFactor
 from factors.vehicle_range import RangeFactor, RangeRows
 from fgrecon.core.evidence import Range
 from fgrecon.core.mask import Mask, joined
 from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.observation_part import ObservationPart
+from fgrecon.solve.graph.shared_depths import SharedDepths
 from fgrecon.solve.proposals.search_settings import SETTINGS as SEARCH
 
 Array = NDArray[np.float64]
 MASKS = SETTINGS.masks
 
 
-def sensed_of(part: ObservationPart) -> list[SensedFactor]:
+def sensed_of(part: ObservationPart, shared: SharedDepths) -> list[SensedFactor]:
     """What is given beside the keypoints of an observation; nothing where pose and shape are constants."""
     shape, observation = part.vehicle.shape, part.problem.observation
     if not observation.evidence or not (part.pose_key is not None or shape.coefficients_key is not None):
@@ -32,10 +33,12 @@ def sensed_of(part: ObservationPart) -> list[SensedFactor]:
     none = gtsam.Values()
     pose = part.kernel.pose(none) if part.pose_key is None else part.pose_key
     coefficients = shape.coefficients(none) if shape.coefficients_key is None else shape.coefficients_key
-    off, model, points = part.problem.options.disabled_terms, part.problem.model, part.problem.energy.points
+    off, model = part.problem.options.disabled_terms, part.problem.model
     found: list[SensedFactor] = []
-    if points is not None:
-        found.append(SurfacePointsFactor(points.rows, pose, coefficients, part.share))
+    for points in part.problem.energy.points:
+        key = shared.key(part, points.depth)
+        by = NOTHING_SHARED if key is None else key
+        found.append(SurfacePointsFactor(points.rows, pose, coefficients, by, part.share, points.name))
     if RangeFactor.name not in off:
         size = model.dimension_mean, model.dimension_basis
         for one in observation.evidence:
@@ -49,9 +52,9 @@ def sensed_of(part: ObservationPart) -> list[SensedFactor]:
 
 def common_factor(sensed: SensedFactor) -> float:
     """By how much less it says of covariances, since its errors are alike in neighbouring places."""
-    return {SurfacePointsFactor.name: SEARCH.points.common_factor, SilhouetteFactor.name: MASKS.common_factor}.get(
-        sensed.name, 1.0
-    )
+    if isinstance(sensed, SurfacePointsFactor):
+        return SEARCH.points.common_factor
+    return MASKS.common_factor if isinstance(sensed, SilhouetteFactor) else 1.0
 
 
 def _silhouettes(part: ObservationPart) -> Iterator[SilhouetteRows]:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.surface_points import PointRows
+from factors.surface_points import PointRows, Shared
 from fgrecon.solve.proposals.point_term import PointTerm
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import SearchResult, search
@@ -32,38 +32,51 @@ def search_with_points(problem: Problem, pictured: Hypotheses) -> SearchResult:
         problem: With a term of points, and all coefficients.
         pictured: Poses that the picture alone leads to, with all coefficients.
     """
-    assert problem.energy.points is not None
-    energy = replace(problem.energy, points=PointTerm(_some(problem.energy.points.rows)))
-    rough = replace(energy, points=PointTerm(_roughly(_some(problem.energy.points.rows))))
+    some = tuple(replace(one, rows=_some(_unsure(one))) for one in problem.energy.points)
+    energy = replace(problem.energy, points=some)
+    rough = replace(energy, points=tuple(replace(one, rows=_roughly(one.rows)) for one in some))
     starts = _starts(problem, pictured)
     best = search(rough, starts, 0, {}).hypotheses.take(np.arange(min(POINTS.rough_starts, len(starts))))
     near = search(rough, best, POINTS.rough_iterations, {}).hypotheses
     return search(energy, near, POINTS.iterations, {POINTS.kept_from_iteration: POINTS.kept_hypotheses})
 
 
+def _unsure(term: PointTerm) -> PointRows:
+    """The points, which the search leaves where they are, unsure by what they share as well."""
+    rows = term.rows
+    if term.depth is None:
+        return rows
+    depth = rows.points[:, 2]
+    by = np.stack([depth, np.ones(len(depth)) if rows.shared is Shared.DEPTH else depth**2], axis=1)
+    variance = np.einsum("ij,jk,ik->i", by, term.depth.covariance, by)
+    stretch = np.linalg.norm(rows.points, axis=1) / depth
+    return replace(rows, along=np.sqrt(rows.along**2 + stretch**2 * variance))
+
+
 def _some(rows: PointRows) -> PointRows:
     """Some of the points, which have the energy of all."""
     every = -(-len(rows.points) // POINTS.searched_points)
-    points, sigma = rows.points[::every], rows.sigma[::every]
-    return replace(rows, points=points, sigma=sigma, share=rows.share * len(rows.points) / len(points))
+    points = rows.points[::every]
+    share = rows.share * len(rows.points) / len(points)
+    return replace(rows, points=points, sigma=rows.sigma[::every], along=rows.along[::every], share=share)
 
 
 def _roughly(rows: PointRows) -> PointRows:
     """The points with an uncertainty that reaches metres, and patches that reach as far."""
     odds = replace(rows.odds, reach=POINTS.rough_sigma_m, reach_sigma=POINTS.rough_sigma_m)
-    return replace(rows, sigma=np.full(len(rows.points), POINTS.rough_sigma_m), odds=odds)
+    along = np.where(rows.along > 0.0, np.hypot(rows.along, POINTS.rough_sigma_m), 0.0)
+    return replace(rows, sigma=np.full(len(rows.points), POINTS.rough_sigma_m), along=along, odds=odds)
 
 
 def _starts(problem: Problem, pictured: Hypotheses) -> Hypotheses:
     """The picture's poses, and all of them at the depths at which points begin, as several kinds of vehicles."""
     energy = problem.energy
-    assert energy.points is not None
     if problem.observation.measured.sum() < SETTINGS.least_keypoints:
         azimuths = 2.0 * np.pi * np.arange(POINTS.azimuths) / POINTS.azimuths
         box, ground = view_box(problem.observation), problem.ground
         around = at_azimuths(box, problem.camera, problem.model, ground, azimuths, relative=True)
         pictured = Hypotheses.joined([pictured, around])
-    ranges = np.linalg.norm(energy.points.rows.points, axis=1)
+    ranges = np.linalg.norm(np.concatenate([one.rows.points for one in energy.points]), axis=1)
     depths = np.unique(np.quantile(ranges, POINTS.start_quantiles).round(1))
     far = np.linalg.norm(pictured.translation, axis=1)
     parts = [pictured]

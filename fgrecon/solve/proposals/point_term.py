@@ -8,17 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factors.surface_patches import SurfacePatches
-from factors.surface_points import PointRows
+from factors.surface_points import PointRows, Shared
 from fgrecon.core.camera import MIN_DEPTH, Camera
+from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.evidence import Points
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.solve.proposals.scaled_depth import ScaledDepth, scaled_depth
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import Hypotheses, Quadratic
 from fgrecon.solve.vehicle.model import VehicleModel
@@ -28,16 +29,23 @@ Array = NDArray[np.float64]
 POINTS = SETTINGS.points
 
 
+POINTS_NAME, DEPTH_NAME = "points", "depth"
+"""Names of the terms, by what measured their points."""
+
+
 @dataclass(frozen=True)
 class PointTerm:
     """Points on the vehicle's surface, or on anything else.
 
     Attributes:
         rows: The points about the vehicle.
+        name: What measured them.
+        depth: The depth map that they are of, whose pixels share variables; None where they share nothing.
     """
 
     rows: PointRows
-    name: ClassVar[str] = "points"
+    name: str = POINTS_NAME
+    depth: ScaledDepth | None = None
 
     def add(self, total: Quadratic, h: Hypotheses) -> None:
         """Add this term."""
@@ -66,29 +74,83 @@ class PointTerm:
         return found
 
 
-def point_term(observation: Observation, camera: Camera, model: VehicleModel) -> PointTerm | None:
-    """The points of an observation's evidence about its vehicle; None where there are too few."""
+def point_terms(observation: Observation, camera: Camera, model: VehicleModel) -> tuple[PointTerm, ...]:
+    """The points of an observation's evidence about its vehicle, and the pixels of each of its depth maps.
+
+    None of what has too few.
+    """
+    prior, box = model.prior, observation.place
+    if prior.surface is None or box is None:
+        return ()
+    found: list[PointTerm] = []
     given = [one for one in observation.evidence if isinstance(one, Points)]
-    prior = model.prior
-    if not given or prior.surface is None:
-        return None
-    points, sigma, origin = [], [], np.asarray(given[0].origin, dtype=np.float64)
-    for one in given:
-        index = _about(one.points, observation, camera)
-        points.append(one.points[index])
-        sigma.append(np.broadcast_to(np.asarray(one.sigma), (len(one.points),))[index])
-    kept, noise = np.concatenate(points), np.concatenate(sigma)
-    if len(kept) > POINTS.most_points:
-        index = np.linspace(0, len(kept) - 1, POINTS.most_points).astype(np.intp)
-        kept, noise = kept[index], noise[index]
-    if len(kept) < POINTS.least_points:
-        return None
-    share = POINTS.independent_points / (POINTS.independent_points + len(kept))
-    noise = np.hypot(noise, POINTS.surface_sigma_m)
-    rows = PointRows(
-        kept, noise, origin, _patches(prior), model.dimension_mean, model.dimension_basis, POINTS.odds, share
+    if given:
+        points, sigma, origin = [], [], np.asarray(given[0].origin, dtype=np.float64)
+        for one in given:
+            index = _about(one.points, box, camera)
+            points.append(one.points[index])
+            sigma.append(np.broadcast_to(np.asarray(one.sigma), (len(one.points),))[index])
+        kept, noise = np.concatenate(points), np.concatenate(sigma)
+        if len(kept) > POINTS.most_points:
+            index = np.linspace(0, len(kept) - 1, POINTS.most_points).astype(np.intp)
+            kept, noise = kept[index], noise[index]
+        found.append(PointTerm(_rows(kept, noise, np.zeros(len(kept)), origin, model)))
+    for depth in observation.evidence:
+        if isinstance(depth, DepthMap):
+            scaled = scaled_depth(depth)
+            pixels, along = _pixels(scaled, box, camera)
+            across = np.maximum(pixels[:, 2], 0.0) * (POINTS.pixel_sigma / camera.matrix[1, 1])
+            rows = _rows(pixels, across, along, np.zeros(3), model, scaled.shared)
+            found.append(PointTerm(rows, DEPTH_NAME, scaled if scaled.shared else None))
+    return tuple(one for one in found if len(one.rows.points) >= POINTS.least_points)
+
+
+def _rows(
+    points: Array, sigma: Array, along: Array, origin: Array, model: VehicleModel, shared: Shared = Shared.NONE
+) -> PointRows:
+    """Points (M, 3) on a vehicle's surface, with standard deviations all round and along their rays (M,)."""
+    independent = POINTS.independent_depths if along.any() else POINTS.independent_points
+    return PointRows(
+        points,
+        np.hypot(sigma, POINTS.surface_sigma_m),
+        origin,
+        _patches(model.prior),
+        model.dimension_mean,
+        model.dimension_basis,
+        POINTS.odds,
+        independent / (independent + len(points)),
+        along,
+        shared,
     )
-    return PointTerm(rows)
+
+
+def _pixels(depth: ScaledDepth, box: Array, camera: Camera) -> tuple[Array, Array]:
+    """(M, 3) pixels of a depth map about where a vehicle must be, camera frame, and their deviations along the rays."""
+    height, width = depth.given.depth.shape
+    size = box[2:] - box[:2]
+    low = np.maximum(np.ceil(box[:2] - POINTS.frustum_margin * size.max()), 0.0)
+    high = np.minimum(np.floor(box[2:] + POINTS.frustum_margin * size.max()), [width - 1.0, height - 1.0])
+    none = np.zeros((0, 3)), np.zeros(0)
+    if not (high > low).all():
+        return none
+    (left, top), (right, bottom) = low.astype(int), high.astype(int)
+    row, column = np.nonzero(np.isfinite(depth.given.depth[top : bottom + 1, left : right + 1]))
+    step = max(1, int(np.ceil(np.sqrt(np.prod(high - low) / POINTS.most_pixels))))
+    _, first = np.unique((row // step) * (right - left + 1) + column // step, return_index=True)
+    row, column = row[first] + top, column[first] + left
+    metres = depth.metres(row, column)
+    nearest, farthest = _depths(box, camera)
+    along = depth.given.along(row, column, metres, depth.calibration.scale)
+    kept = (metres + 2.0 * along > max(nearest, MIN_DEPTH)) & (metres - 2.0 * along < farthest) & (metres > MIN_DEPTH)
+    if not kept.any():
+        return none
+    pixels = np.stack([column[kept], row[kept]], axis=1).astype(np.float64)
+    if camera.distortion is not None:
+        pixels = camera.ideal_pixels(pixels)[0]
+    rays = camera.rays(pixels)
+    far = np.isfinite(rays).all(axis=1)
+    points, along = rays * metres[kept, None], along[kept] * np.linalg.norm(rays, axis=1)
+    return points[far], along[far]
 
 
 @lru_cache(maxsize=16)
@@ -97,19 +159,11 @@ def _patches(prior: ShapePrior) -> SurfacePatches:
     return SurfacePatches.of(prior.surface.mean, prior.surface.basis, prior.surface.faces)
 
 
-def _about(points: Array, observation: Observation, camera: Camera) -> NDArray[np.intp]:
-    """Indices of the points (N, 3) about where a vehicle must be, thinned to one a cell."""
-    box = observation.place
-    if box is None:
-        return np.zeros(0, dtype=np.intp)
+def _about(points: Array, box: Array, camera: Camera) -> NDArray[np.intp]:
+    """Indices of the points (N, 3) about where the vehicle in a 2D box must be, thinned to one a cell."""
     size = box[2:] - box[:2]
     margin = POINTS.frustum_margin * float(size.max())
-    focal = float(camera.matrix[1, 1])
-    nearest, farthest = (focal * metres / float(size[1]) for metres in POINTS.heights_m)
-    if camera.image_size is not None and (
-        box[1] <= SETTINGS.border_pixels or box[3] >= camera.image_size[1] - 1.0 - SETTINGS.border_pixels
-    ):
-        nearest = 0.0  # the image shows a part of its height
+    nearest, farthest = _depths(box, camera)
     index = np.flatnonzero((points[:, 2] > max(nearest, MIN_DEPTH)) & (points[:, 2] < farthest))
     homogeneous = points[index] @ camera.matrix.T
     pixels = homogeneous[:, :2] / homogeneous[:, 2:]
@@ -118,3 +172,14 @@ def _about(points: Array, observation: Observation, camera: Camera) -> NDArray[n
     cells = np.floor(points[index] / POINTS.cell_m).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     return index[np.sort(first)]
+
+
+def _depths(box: Array, camera: Camera) -> tuple[float, float]:
+    """The nearest and the farthest depth at which some vehicle fills a 2D box, metres."""
+    focal = float(camera.matrix[1, 1])
+    nearest, farthest = (focal * metres / float(box[3] - box[1]) for metres in POINTS.heights_m)
+    if camera.image_size is not None and (
+        box[1] <= SETTINGS.border_pixels or box[3] >= camera.image_size[1] - 1.0 - SETTINGS.border_pixels
+    ):
+        nearest = 0.0  # the image shows a part of its height
+    return nearest, farthest

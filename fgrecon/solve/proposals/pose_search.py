@@ -73,13 +73,13 @@ def search_pose(problem: Problem, initial: Box3D | float | Array | None = None) 
     if problem.options.strategy.is_paper:
         return _by_algorithm1(problem, missing)
     starts = all_starts(problem, initial)
-    pictured = problem.energy if whole.energy.points is None else replace(problem.energy, points=None)
+    pictured = problem.energy if not whole.energy.points else replace(problem.energy, points=())
     result = search(pictured, starts, SETTINGS.iterations, dict(SETTINGS.kept_hypotheses))
     if not np.isfinite(result.energy[0]):
         raise DegenerateProblemError("keypoints", "no pose in front of the camera", "Check intrinsics, box and points.")
     found, energies, weights = result.hypotheses, result.energy, result.weights
     found = replace(found, coefficients=_padded(found.coefficients, missing))
-    if whole.energy.points is not None:
+    if whole.energy.points:
         with_points = search_with_points(whole, found)
         found, energies, weights = with_points.hypotheses, with_points.energy, with_points.weights
     best, coefficients = found.matrices(), found.coefficients

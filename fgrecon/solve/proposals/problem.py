@@ -15,7 +15,7 @@ from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options
 from fgrecon.core.robust import Evidence
-from fgrecon.solve.proposals.point_term import PointTerm, point_term
+from fgrecon.solve.proposals.point_term import PointTerm, point_terms
 from fgrecon.solve.proposals.search import PoseEnergy
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import BoxTerm, DirectionTerm, GroundTerm, KeypointTerm, SizeTerm
@@ -55,8 +55,9 @@ class Problem:
         Raises:
             DegenerateProblemError: Too few points, all in one place or line, or without any weight.
         """
-        points = point_term(observation, camera, model) if observation.evidence else None
-        if points is None or observation.box is None:
+        points = point_terms(observation, camera, model) if observation.evidence else ()
+        points = tuple(one for one in points if one.name not in options.disabled_terms)
+        if not points or observation.box is None:
             _check_points(observation)
         energy = _energy(observation, camera, model, ground, options, points)
         return cls(observation, camera, model, ground, options, energy, assumed=observation.covariance is None)
@@ -131,7 +132,7 @@ def _energy(
     model: VehicleModel,
     ground: Ground | None,
     options: Options,
-    points: PointTerm | None,
+    points: tuple[PointTerm, ...],
 ) -> PoseEnergy:
     extent = observation.extent
     if extent < 1.0:
@@ -162,7 +163,7 @@ def _energy(
         size=size,
         ground=None if ground is None or "ground" in off else GroundTerm(ground),
         direction=None if observation.azimuth is None else DirectionTerm(observation.azimuth),
-        points=None if "points" in off else points,
+        points=points,
     )
 
 

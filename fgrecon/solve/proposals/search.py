@@ -44,7 +44,7 @@ class PoseEnergy:
         size: Size term, or None.
         ground: Ground term, or None.
         direction: Term of the direction that the vehicle is observed from, or None.
-        points: Term of measured points, or None.
+        points: Terms of measured points.
     """
 
     keypoints: KeypointTerm
@@ -53,7 +53,7 @@ class PoseEnergy:
     size: SizeTerm | None = None
     ground: GroundTerm | None = None
     direction: DirectionTerm | None = None
-    points: PointTerm | None = None
+    points: tuple[PointTerm, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         """What it is made of; another process compiles it again."""
@@ -75,8 +75,9 @@ class PoseEnergy:
     @property
     def others(self) -> Iterator[_Summand]:
         """The terms beside the keypoints' that there are."""
-        terms = self.box, self.size, self.ground, self.direction, self.points
+        terms = self.box, self.size, self.ground, self.direction
         yield from (term for term in terms if term is not None)
+        yield from self.points
         yield CoefficientTerm()
 
     def evaluate(self, h: Hypotheses, progress: float = 1.0) -> tuple[Quadratic, Array]:
@@ -95,7 +96,7 @@ class PoseEnergy:
             keypoints=replace(self.keypoints, basis=self.keypoints.basis[:dimension]),
             box=None if box is None else replace(box, basis=box.basis[:dimension]),
             size=None if size is None else replace(size, jacobian=size.jacobian[:, :dimension]),
-            points=None,
+            points=(),
         )
 
     def energies(self, h: Hypotheses) -> dict[str, Array]:
@@ -140,8 +141,8 @@ def _compile(energy: PoseEnergy) -> Any:
         None if size is None else size.packed,
         None if energy.direction is None else energy.direction.probability,
     )
-    if energy.points is not None:
-        compiled.search_points(energy.points.rows.compiled)
+    if energy.points:
+        compiled.search_points([one.rows.compiled for one in energy.points])
     return compiled
 
 

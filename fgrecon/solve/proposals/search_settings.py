@@ -79,6 +79,12 @@ class PointSettings:
     """Of n points n / (1 + n / this) count: the surface's errors are alike in neighbouring places."""
     common_factor: float = 8.0
     """By how much less points say of covariances."""
+    independent_depths: float = 20.0
+    """The same as `independent_points` of pixels of a depth map, whose errors are alike in neighbouring pixels."""
+    pixel_sigma: float = 1.0
+    """Of a depth map, across the rays."""
+    most_pixels: int = 150
+    """Of a depth map that are used of a vehicle."""
     most_points: int = 200
     """Of a vehicle that are used."""
     least_points: int = 3

@@ -159,7 +159,7 @@ def test_the_pose_is_a_constant_in_the_shape_stage():
 
 
 @pytest.mark.parametrize(
-    "term", sorted({*Options.TERMS} - {"direction", "points", "range", "mask"})
+    "term", sorted({*Options.TERMS} - {"direction", "points", "depth", "range", "mask"})
 )  # one is no factor, the others not given
 def test_each_term_can_be_left_out(term):
     whole = Case(joint=True, seed=5, free_offsets=True)

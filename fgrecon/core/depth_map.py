@@ -1,0 +1,141 @@
+"""A depth for each pixel of an image: measured, or as a network gives it up to scale, or scale and shift."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.checks import as_either, as_finite, as_shape, own
+from fgrecon.core.choices import DepthScale
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.repr import brief_repr
+from fgrecon.core.settings import one_of
+
+Array = NDArray[np.float64]
+
+_FARTHEST, _NEAREST = 300.0, 0.5  # metres: the median depth of no image with vehicles is larger or smaller
+_LARGEST_RELATIVE = 1.0
+_LEAST_MEASURED = 20  # pixels of which the median tells the unit
+_ROUNDING = 1e-9  # share of the largest number of a covariance that is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class DepthCalibration:
+    """What the numbers of a depth map are in metres: scale times the number, plus the shift, is the (inverse) depth.
+
+    Attributes:
+        scale: Metres, or 1 / metres of an inverse depth, for each unit of the map.
+        shift: Metres, or 1 / metres.
+        covariance: (2, 2) of both; zero where they are exact.
+    """
+
+    scale: float = 1.0
+    shift: float = 0.0
+    covariance: ArrayLike = ((0.0, 0.0), (0.0, 0.0))
+
+    __repr__ = brief_repr
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InvalidInputError: The scale is not positive, or the covariance is none.
+        """
+        scale, shift = (float(as_finite(f"calibration.{n}", getattr(self, n), ())) for n in ("scale", "shift"))
+        if scale <= 0.0:
+            raise InvalidInputError("calibration.scale", scale, "Give a positive number.")
+        matrix = as_finite("calibration.covariance", self.covariance, (2, 2))
+        if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix).min() < -_ROUNDING * np.abs(matrix).max():
+            raise InvalidInputError("calibration.covariance", matrix.tolist(), "Give a symmetric, positive one.")
+        object.__setattr__(self, "scale", scale)
+        object.__setattr__(self, "shift", shift)
+        object.__setattr__(self, "covariance", own(matrix))
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """The depth of each pixel of the image, along the camera's z axis.
+
+    Which pixels are a vehicle's is decided in its graph. A pixel is unsure along its ray, and hardly across it; what
+    all pixels have wrong together, as scale and shift, are variables that all vehicles of the image share.
+
+    Attributes:
+        depth: (H, W) as large as the image, an array or a tensor. NaN where nothing was measured; 0 as well, unless it
+            is an inverse depth or has a shift.
+        sigma: Standard deviation of a pixel in the map's unit, one, or (H, W) of those that were measured; 0 where
+            `relative_sigma` says all.
+        relative_sigma: The same as a share of the depth, added in quadrature.
+        scale: Whether the numbers are metres, or scale, or scale and shift, are to be found.
+        inverse: Whether the numbers are inverse depths (1 / metres), as of disparities and many networks.
+        shared_sigma: Standard deviation of an error of the inverse depth that all pixels have in common, 1 / metres.
+        calibration: Scale and shift where they are known, such as from the frame before; takes the place of `scale`.
+    """
+
+    depth: NDArray[np.float64]
+    sigma: float | NDArray[np.float64] = 0.0
+    relative_sigma: float = 0.05
+    scale: DepthScale = DepthScale.METRIC
+    inverse: bool = False
+    shared_sigma: float = 0.0
+    calibration: DepthCalibration | None = None
+
+    __repr__ = brief_repr
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InvalidInputError: They are no depths of this kind, or a standard deviation is none.
+        """
+        set_ = object.__setattr__
+        depth = as_shape("depth", self.depth, (None, None), "Give (H, W), a number for each pixel.")
+        set_(self, "scale", one_of(DepthScale, "depth.scale", self.scale))
+        shifted = self.inverse or self.scale is DepthScale.SCALE_AND_SHIFT
+        valid = np.isfinite(depth) & (True if shifted else depth > 0.0)
+        set_(self, "depth", own(np.where(valid, depth, np.nan)))
+        sigma = as_either("depth.sigma", self.sigma, [(), depth.shape], "Give one, or one for each pixel.")
+        if not (sigma[valid if sigma.ndim else ...] >= 0.0).all():
+            fix = "Give standard deviations, one for each pixel that was measured."
+            raise InvalidInputError("depth.sigma", float(np.min(sigma)), fix)
+        set_(self, "sigma", float(sigma) if sigma.ndim == 0 else own(sigma))
+        for name, largest in (("relative_sigma", _LARGEST_RELATIVE), ("shared_sigma", 1.0)):
+            value = float(as_finite(f"depth.{name}", getattr(self, name), ()))
+            if not 0.0 <= value <= largest:
+                raise InvalidInputError(f"depth.{name}", value, f"Give a number from 0 to {largest:g}.")
+            set_(self, name, value)
+        if not np.any(self.sigma) and self.relative_sigma == 0.0:
+            raise InvalidInputError("depth.sigma", 0.0, "Give a standard deviation, or a relative one.")
+        if self.scale is DepthScale.METRIC and self.calibration is None:
+            self._check_metres()
+
+    def _check_metres(self) -> None:
+        with np.errstate(divide="ignore"):
+            metres = 1.0 / self.depth if self.inverse else self.depth
+        measured = metres[np.isfinite(metres) & (metres > 0.0)]
+        if len(measured) < _LEAST_MEASURED:
+            return
+        median = float(np.median(measured))
+        if median > _FARTHEST or median < _NEAREST:
+            fix = "Give metres, or say by `scale=` (scale, scale_and_shift) or `inverse=` what the numbers are."
+            raise InvalidInputError("depth", f"a median depth of {median:.3g} m", fix)
+
+    @property
+    def known(self) -> DepthCalibration | None:
+        """Scale and shift; None where they are to be found."""
+        if self.calibration is None and self.scale is DepthScale.METRIC:
+            return DepthCalibration()
+        return self.calibration
+
+    def metres(self, numbers: Array, calibration: DepthCalibration) -> Array:
+        """Depths of numbers of the map in metres; NaN of what lies nowhere before the camera."""
+        found = calibration.scale * numbers + calibration.shift
+        safe = np.where(found > 0.0, found, np.nan)
+        return np.asarray(1.0 / safe if self.inverse else safe)
+
+    def along(self, row: NDArray[np.intp], column: NDArray[np.intp], metres: Array, scale: float) -> Array:
+        """Standard deviations (M,) of the depths of pixels in metres, with so many metres to a unit."""
+        sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[row, column]
+        own_sigma = scale * np.asarray(sigma) * (metres**2 if self.inverse else 1.0)
+        return np.asarray(np.hypot(own_sigma, self.relative_sigma * metres))

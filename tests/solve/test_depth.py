@@ -1,0 +1,171 @@
+"""Depth maps of an image with vehicles: metric, with an error that all pixels share, up to scale, or up to a shift."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fgrecon import (
+    Camera,
+    DepthCalibration,
+    DepthMap,
+    DepthScale,
+    Ground,
+    Observation,
+    Options,
+    StereoPair,
+    Tracker,
+    reconstruct,
+    reconstruct_scene,
+    reconstruct_track,
+)
+from fgrecon.core.geometry import yaw_rotation
+from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.errors import InvalidInputError
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.vehicle.visibility import clearance, probability
+
+SIZE = (620, 190)
+CAMERA = replace(Camera.of(np.array([[350.0, 0.0, 310.0], [0.0, 350.0, 85.0], [0.0, 0.0, 1.0]])), image_size=SIZE)
+PRIOR = load_prior("car14")
+SHAPES = np.array([1.2, -0.8, 0.3, 0.2, -0.4]) * np.array([[1.0], [-1.0], [0.0]])
+PLACES = [np.array([2.5, 1.65, 14.0]), np.array([-3.0, 1.65, 20.0]), np.array([-2.5, 1.65, 9.0])]
+YAWS = [-1.2, -1.7, 1.2]
+OPTIONS = Options(keep_history=False)
+HOW: dict[str, Any] = {"ground": Ground.level(1.65), "options": OPTIONS}
+
+
+@pytest.fixture(name="street", scope="module")
+def _street() -> tuple[list[Observation], np.ndarray]:
+    """What a network says of three cars of different sizes, and the depth (H, W) of them, the road and a wall."""
+    rng = np.random.default_rng(0)
+    row, column = np.mgrid[: SIZE[1], : SIZE[0]]
+    rays = CAMERA.rays(np.stack([column, row], axis=-1).astype(float))
+    depth = np.minimum(1.65 / np.maximum(rays[..., 1], 1e-6), 45.0)
+    seen = []
+    surface = PRIOR.surface
+    assert surface is not None
+    for place, yaw, shape in zip(PLACES, YAWS, SHAPES, strict=True):
+        rotation = yaw_rotation(yaw)
+        vertices = surface.vertices(shape) @ rotation.T + place
+        _draw(depth, rays, vertices[surface.faces])
+        outline = CAMERA.project(vertices)
+        box = np.concatenate([outline.min(axis=0), outline.max(axis=0)])
+        pixels = CAMERA.project(PRIOR.keypoints(shape) @ rotation.T + place) + rng.normal(0.0, 1.0, (14, 2))
+        sensor = -rotation.T @ place
+        shown = probability(clearance(surface.vertices(shape), surface.faces, PRIOR.keypoints(shape), sensor))
+        seen.append(Observation.of(pixels, np.where(shown > 0.5, 0.9, 0.1), box))
+    return seen, depth + 0.02 * rng.normal(size=depth.shape)
+
+
+def _draw(depth: np.ndarray, rays: np.ndarray, triangles: np.ndarray) -> None:
+    """Put triangles (F, 3, 3) before what is in a depth map (H, W)."""
+    for corners in triangles:
+        pixels = CAMERA.project(corners)
+        low = np.maximum(np.ceil(pixels.min(axis=0)), 0).astype(int)
+        high = np.minimum(np.floor(pixels.max(axis=0)), np.array(SIZE) - 1).astype(int)
+        if (high < low).any():
+            continue
+        part = np.s_[low[1] : high[1] + 1, low[0] : high[0] + 1]
+        try:
+            inside = np.linalg.solve(corners.T, rays[part].reshape(-1, 3).T)
+        except np.linalg.LinAlgError:
+            continue
+        hit = (inside >= -1e-9).all(axis=0).reshape(rays[part].shape[:2])
+        far = (1.0 / np.maximum(inside.sum(axis=0), 1e-9)).reshape(hit.shape)
+        depth[part] = np.where(hit, np.minimum(depth[part], far), depth[part])
+
+
+def errors(found: list[Reconstruction]) -> np.ndarray:
+    """(V,) how far vehicles are off, metres."""
+    return np.array([np.linalg.norm(one.location - place) for one, place in zip(found, PLACES, strict=True)])
+
+
+def test_a_metric_map_tells_the_depth(street: tuple[list[Observation], np.ndarray]) -> None:
+    seen, depth = street
+    fleet = HOW | {"size_prior": "kitti"}  # whose cars are smaller than these
+    alone = reconstruct_scene(seen, CAMERA, **fleet)
+    sensed = reconstruct_scene(seen, CAMERA, evidence=[DepthMap(depth, relative_sigma=0.005)], **fleet)
+    assert errors(list(alone.vehicles)).max() > 0.8
+    assert errors(list(sensed.vehicles)).max() < 0.25
+    for one in sensed.vehicles:
+        assert one.diagnostics.evidence["depth"] > 1.5
+        assert (one.diagnostics.point_weights >= 0.5).sum() > 40
+        assert len(one.diagnostics.depth_scales) == 0  # nothing is shared
+
+
+@pytest.mark.parametrize(
+    ("made", "kind", "inverse"),
+    [
+        (lambda z: 0.4 * z, DepthScale.SCALE, False),
+        (lambda z: 2.5 / z, DepthScale.SCALE, True),
+        (lambda z: 0.4 * (z + 2.0), DepthScale.SCALE_AND_SHIFT, False),
+        (lambda z: 2.5 / z + 0.1, DepthScale.SCALE_AND_SHIFT, True),
+    ],
+)
+def test_scale_and_shift_are_found(
+    street: tuple[list[Observation], np.ndarray], made: Any, kind: DepthScale, inverse: bool
+) -> None:
+    seen, depth = street
+    given = DepthMap(made(depth), relative_sigma=0.01, scale=kind, inverse=inverse)
+    found = reconstruct_scene(seen, CAMERA, evidence=[given], **HOW).vehicles
+    assert errors(list(found)).max() < 0.6
+    scale, shift = found[0].diagnostics.depth_scales[0]
+    metres = given.metres(made(np.array([8.0, 20.0])), DepthCalibration(scale, shift))
+    assert metres == pytest.approx([8.0, 20.0], rel=0.04)
+    covariance = found[0].diagnostics.depth_covariances[0]
+    assert 0.0 < np.sqrt(covariance[0, 0]) < 0.1 * scale
+    for one in found[1:]:  # the image's, which all vehicles share
+        assert one.diagnostics.depth_scales == pytest.approx(found[0].diagnostics.depth_scales)
+
+
+def test_an_error_that_all_pixels_share_is_found(street: tuple[list[Observation], np.ndarray]) -> None:
+    seen, depth = street
+    shifted = 1.0 / (1.0 / depth - 0.004)
+    maps = [DepthMap(shifted, relative_sigma=0.01, shared_sigma=sigma) for sigma in (0.0, 0.005)]
+    exact, open_ = (reconstruct_scene(seen, CAMERA, evidence=[one], **HOW).vehicles for one in maps)
+    assert errors(list(open_)).mean() < 0.8 * errors(list(exact)).mean()
+    scale, offset = open_[0].diagnostics.depth_scales[0]
+    assert scale == pytest.approx(1.0, abs=1e-3)
+    assert 0.001 < offset < 0.006
+
+
+def test_one_vehicle_over_images_and_over_time(street: tuple[list[Observation], np.ndarray]) -> None:
+    (one, *_), depth = street
+    given = DepthMap(2.5 * depth, relative_sigma=0.01, scale=DepthScale.SCALE)
+    single = reconstruct(one, CAMERA, evidence=[given], **HOW)
+    assert np.linalg.norm(single.location - PLACES[0]) < 0.6
+    track = reconstruct_track([one, one], CAMERA, evidence=[[given], [given]], **HOW)
+    assert np.linalg.norm(track.frames[0].location - PLACES[0]) < 0.6
+    tracker = Tracker()
+    for time in (0.0, 0.1):
+        found = tracker.update(time, {3: one}, camera=CAMERA, ground=1.65, evidence=[given])
+    assert np.linalg.norm(found[3].reconstruction.location - PLACES[0]) < 0.6
+
+
+def test_a_map_that_says_nothing_changes_nothing(street: tuple[list[Observation], np.ndarray]) -> None:
+    (one, *_), depth = street
+    alone = reconstruct(one, CAMERA, **HOW)
+    empty = DepthMap(np.full(depth.shape, np.nan), scale=DepthScale.SCALE)
+    assert np.array_equal(reconstruct(one, CAMERA, evidence=[empty], **HOW).camera_T_object, alone.camera_T_object)
+    off = replace(OPTIONS, disabled_terms={*OPTIONS.disabled_terms, "depth"})
+    left = reconstruct(one, CAMERA, evidence=[DepthMap(depth)], **HOW | {"options": off})
+    assert np.array_equal(left.camera_T_object, alone.camera_T_object)
+
+
+def test_what_does_not_fit_is_refused(street: tuple[list[Observation], np.ndarray]) -> None:
+    (one, *_), depth = street
+    with pytest.raises(InvalidInputError, match=r"evidence\[0\].*depth map of shape"):
+        reconstruct(one, CAMERA, evidence=[DepthMap(depth[:-1])])
+    pair = StereoPair(np.zeros((190, 620, 3), np.uint8), CAMERA, _shifted())
+    with pytest.raises(InvalidInputError, match=r"evidence\[0\].*left image"):
+        reconstruct(one, CAMERA, evidence=[pair])
+
+
+def _shifted() -> np.ndarray:
+    motion = np.eye(4)
+    motion[0, 3] = -0.5
+    return motion
