@@ -118,10 +118,7 @@ class SideBySide:
 
         table = Table(f"CPU ms a frame by stage, {self.frames} frames, smoothed", COLUMNS)
         table.rows = self.rows("", measure)
-        table.notes.append(
-            "What is of it a library's own is what no code of ours can make less. The base linearises within GTSAM's "
-            "optimiser, by callbacks: its elimination is not told apart there."
-        )
+        table.notes.append("What is of it a library's own is what no code of ours can make less.")
         return table
 
     def memory(self) -> Table:

@@ -51,7 +51,7 @@ def _each(cut: Callable[[float], float], value: Any) -> Any:
     if isinstance(value, float):
         return cut(value)
     if isinstance(value, list):
-        return [_each(cut, item) for item in value]
+        return [cut(item) if type(item) is float else _each(cut, item) for item in value]
     if isinstance(value, dict):
         return {key: _each(cut, item) for key, item in value.items()}
     return value

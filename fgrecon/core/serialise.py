@@ -18,8 +18,11 @@ from fgrecon.core.text import whole_text
 
 def plain(value: Any) -> Any:
     """Lists, numbers and texts for JSON; NaN and infinity become texts."""
+    if value is None or (isinstance(value, str | int) and not isinstance(value, Enum)):
+        return value
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        kind, listed = value.dtype.kind, value.tolist()
+        return listed if kind in "biu" or (kind == "f" and np.isfinite(value).all()) else plain(listed)
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, float | np.floating):
