@@ -9,6 +9,7 @@ import pytest
 import fgrecon
 from fgrecon.batch.inputs import sources_of
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.images import write_png
 from fgrecon.io.keypoints import read_any_keypoints
 
 from .formats import CATEGORY, MISSING, car
@@ -25,16 +26,16 @@ def arrays():
     return points, trust
 
 
-def check(vehicle, *, kind="car", score=0.9, track=None, midpoint=0.5, box=True):
+def check(vehicle, *, kind="car", score=0.9, track=None, midpoint=0.5, box=True, off=1e-4):
     observation = vehicle.observation
     assert [NAMES[i] for i in np.flatnonzero(observation.measured)] == THERE
-    assert np.abs(observation.keypoints[observation.measured] - POINTS[observation.measured]).max() < 1e-4
+    assert np.abs(observation.keypoints[observation.measured] - POINTS[observation.measured]).max() < off
     assert np.allclose(observation.confidence[observation.measured], 0.8)
     assert observation.confidence_midpoint == midpoint
     assert (vehicle.kind, vehicle.track) == (kind, track)
     assert vehicle.score == pytest.approx(score)
     if box:
-        assert np.abs(observation.box - BOX).max() < 1e-4
+        assert np.abs(observation.box - BOX).max() < off
 
 
 def test_ultralytics_keeps_class_score_and_track():
@@ -161,3 +162,69 @@ def test_what_is_malformed_is_named():
     found = SimpleNamespace(keypoints=points, keypoint_scores=trust, bboxes=BOX[None], bbox_scores=np.array([0.9, 0.8]))
     with pytest.raises(InvalidInputError, match="scores"):
         fgrecon.keypoints_from(SimpleNamespace(pred_instances=found))
+
+
+def test_an_object_of_norfair_is_a_vehicle_without_the_points_that_are_lost():
+    points, trust = arrays()
+    points[0, list(MISSING)] = 5.0  # where they were last
+    alive = trust[0] > 0
+    found = [SimpleNamespace(estimate=points[0], live_points=alive, id=number, label="car") for number in (3, None)]
+    vehicles = fgrecon.keypoints_from(found)
+    assert [(vehicle.track, vehicle.kind) for vehicle in vehicles] == [(3, "car"), (None, "car")]
+    for vehicle in vehicles:
+        assert [NAMES[i] for i in np.flatnonzero(vehicle.observation.measured)] == THERE
+
+
+def yolo(size, *, trust=("0.8", "0"), behind="", each=3):
+    """A line of YOLO's, whose numbers are shares of an image of a size."""
+    width, height = size
+    x1, y1, x2, y2 = BOX.tolist()
+    box = [(x1 + x2) / 2 / width, (y1 + y2) / 2 / height, (x2 - x1) / width, (y2 - y1) / height]
+    words = ["2", *map(str, box)]
+    for i, (u, v) in enumerate(POINTS.tolist()):
+        gone = i in MISSING
+        words += ["0", "0"] if gone else [str(u / width), str(v / height)]
+        words += [trust[gone]] if each == 3 else []
+    return " ".join([*words, behind])
+
+
+@pytest.mark.parametrize("folder", [".", "labels/train"])
+@pytest.mark.parametrize(
+    ("behind", "score", "track"), [("", None, None), ("0.9 7", 0.9, 7), ("7", None, 7), ("0.9", 0.9, None)]
+)
+def test_lines_of_yolo(tmp_path, folder, behind, score, track):
+    size = (1242, 375)
+    path = tmp_path / folder / "street.txt"
+    picture = tmp_path / folder.replace("labels", "images") / "street.png"
+    for file in (path, picture):
+        file.parent.mkdir(parents=True, exist_ok=True)
+    write_png(picture, np.zeros((*size[::-1], 3), np.uint8))
+    path.write_text(f"{yolo(size, behind=behind)}\n\n{yolo(size, behind=behind)}\n")
+    first, second = read_any_keypoints(path, CATEGORY).instances
+    check(first, kind=None, score=score, track=track)
+    assert (first.image, second.name) == ("street.png", "3")
+    (source,) = sources_of([path])
+    assert len(list(source.rows())) == 2
+
+
+def test_flags_and_points_of_two_numbers(tmp_path):
+    size = (1242, 375)
+    write_png(tmp_path / "street.png", np.zeros((*size[::-1], 3), np.uint8))
+    path = tmp_path / "street.txt"
+    for line, sure in (
+        (yolo(size, trust=("2", "0")), 1.0),
+        (yolo(size, trust=("1", "0")), None),
+        (yolo(size, each=2), 1.0),
+    ):
+        path.write_text(line)
+        ((observation,),) = [[one.observation for one in read_any_keypoints(path, CATEGORY).instances]]
+        assert [NAMES[i] for i in np.flatnonzero(observation.measured)] == THERE
+        expected = observation.confidence_midpoint if sure is None else sure
+        assert np.allclose(observation.confidence[observation.measured], expected)
+        assert np.abs(observation.keypoints[observation.measured] - POINTS[observation.measured]).max() < 1e-9
+    path.write_text("2 0.5 0.5 x")
+    with pytest.raises(InvalidInputError, match=r"street\.txt:1.*14 points"):
+        read_any_keypoints(path, CATEGORY)
+    (tmp_path / "street.png").unlink()
+    with pytest.raises(InvalidInputError, match=r"without its image.*street\.jpg"):
+        read_any_keypoints(path, CATEGORY)

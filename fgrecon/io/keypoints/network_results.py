@@ -7,6 +7,7 @@
 | MMPose's `PoseDataSample` | `pred_instances.keypoints`, `keypoint_scores` |
 | torchvision's dictionary | `keypoints`, `keypoints_scores` |
 | detectron2's `Instances` | `pred_keypoints`; or `instances` in a dictionary |
+| norfair's `TrackedObject` | `estimate`, `live_points`: one vehicle, without the points that are not followed |
 
 None of these packages is imported. What they write as JSON is in `network_records`.
 """
@@ -32,8 +33,8 @@ PROBABLE = 0.5
 """Confidence of a point that is as likely right as wrong where networks have learnt probabilities."""
 _HEAT = 0.05  # detectron2 draws no point whose share of the heat map is less
 _FIX = (
-    "Give results of ultralytics, torchvision, detectron2 or MMPose, `supervision.KeyPoints`, OpenPifPaf's annotations "
-    "or the content of a JSON file."
+    "Give results of ultralytics, torchvision, detectron2 or MMPose, `supervision.KeyPoints`, norfair's objects, "
+    "OpenPifPaf's annotations or the content of a JSON file."
 )
 
 
@@ -94,6 +95,8 @@ def object_records(given: Any, category: Category, names: Names | None, where: s
         found = _detectron2(given["instances"], where)
     elif hasattr(given, "pred_keypoints"):
         found = _detectron2(given, where)
+    elif hasattr(given, "estimate") and hasattr(given, "live_points"):
+        found = _norfair(given, where)
     elif hasattr(given, "xy"):
         found = _supervision(given, where)
     else:
@@ -127,6 +130,17 @@ def _supervision(given: Any, where: str) -> _Found:
         _optional(trust, f"{where}confidence"),
         scores=_optional(getattr(given, "detection_confidence", None), f"{where}detection_confidence"),
         kinds=None if kinds is None else [str(kind) for kind in kinds],
+    )
+
+
+def _norfair(given: Any, where: str) -> _Found:
+    points, alive = _array(given.estimate, f"{where}estimate"), np.asarray(given.live_points, dtype=bool)
+    kind, number = getattr(given, "label", None), given.id
+    return _Found(
+        f"{where}estimate",
+        np.where(alive[:, None], points, np.nan)[None],
+        tracks=None if number is None else np.array([number], dtype=np.float64),
+        kinds=None if kind is None else [str(kind)],
     )
 
 

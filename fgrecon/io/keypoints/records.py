@@ -22,6 +22,7 @@ from fgrecon.io.keypoints.names import naming_of, scheme_keypoints
 from fgrecon.io.keypoints.network_records import network_instances
 from fgrecon.io.keypoints.pascal3d import read_anchors
 from fgrecon.io.keypoints.tool_records import cvat_records, is_tool_file, tool_records
+from fgrecon.io.keypoints.yolo_pose import is_yolo_pose, yolo_pose_records
 
 _CAMERA = ("K", "intrinsics", "distortion", "image_size")
 
@@ -144,7 +145,7 @@ def _numbers(line: str, where: str, count: int) -> list[float]:
 
 _READERS: Mapping[str, Callable[[Path, Category], Iterator[tuple[Record | InvalidInputError, str]]]] = {
     ".mat": _anchors,  # PASCAL3D+
-    ".txt": lambda path, _: carfusion_records(path),
+    ".txt": lambda path, kind: yolo_pose_records(path, kind) if is_yolo_pose(path) else carfusion_records(path),
     ".xml": lambda path, _: cvat_records(path),
 }
 

@@ -16,4 +16,6 @@ found = Results(
     boxes=torch.tensor([[*given["box"], 7.0, 0.9, 2.0]]),
     keypoints=torch.cat([points, trust[..., None]], dim=2),
 )
+found.save_txt("scored.txt", save_conf=True)
+found.save_txt("plain.txt")
 json.dump({"to_json": json.loads(found.to_json()), "summary": found.summary()}, sys.stdout)
