@@ -4,7 +4,7 @@
 # Guess: where no ray ahead belongs to a pixel, undistortPoints says so, or the ray points to the side where the pixel is; and
 # projectPoints images a point behind the camera's plane on its own side, farther out.
 # Seen: a pixel 91 degrees to the right has a ray 89 degrees to the left, without a word, and a point that is 117 degrees to the left
-# is imaged on the right, as if it were mirrored through the camera. Without coefficients both are otherwise: the ray is at 90 degrees.
+# is imaged on the right, as if it were mirrored through the camera. Without coefficients such rays are all at 90 degrees.
 set -euo pipefail
 folder=$(mktemp -d); trap 'rm -rf "$folder"' EXIT; cd "$folder"
 python3 -m venv env && env/bin/pip install --quiet opencv-python-headless==5.0.0.93 numpy==2.4.6
