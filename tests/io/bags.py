@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rosbags")
 
+from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -23,9 +24,18 @@ VIDEO = """builtin_interfaces/Time timestamp
 string frame_id
 uint8[] data
 string format"""
+PACKET = """std_msgs/Header header
+int32 width
+int32 height
+string encoding
+uint64 pts
+uint8 flags
+bool is_bigendian
+uint8[] data"""
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STORE.register(get_types_from_msg(VIDEO, "foxglove_msgs/msg/CompressedVideo"))
+STORE.register(get_types_from_msg(PACKET, "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"))
 T = SimpleNamespace(**{name.rsplit("/", 1)[1]: kind for name, kind in STORE.types.items()})
 
 
@@ -126,6 +136,32 @@ def write(path, messages, storage=StoragePlugin.MCAP):
                 topics[topic] = bag.add_connection(topic, kind, typestore=STORE)
             bag.write(topics[topic], time, STORE.serialize_cdr(message, kind))
     return next(one for one in path.iterdir() if one.suffix in (".mcap", ".db3"))
+
+
+def write_ros1(path, messages):
+    """A bag of ROS 1 of the same messages: headers have a number there, and a camera's matrices other names."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+
+    def old(message):
+        if not hasattr(message, "__msgtype__"):
+            return [old(one) for one in message] if isinstance(message, list) else message
+        kind = store.types[message.__msgtype__]
+        values = {name: old(value) for name, value in vars(message).items()}
+        if message.__msgtype__.endswith("/Header"):
+            values["seq"] = 0
+        if message.__msgtype__.endswith("/CameraInfo"):
+            values |= {name.upper(): values.pop(name) for name in "dkrp"}
+        return kind(**values)
+
+    with Writer1(path) as bag:
+        topics = {}
+        for topic, time, message in messages:
+            name = message.__msgtype__
+            if topic not in topics:
+                topics[topic] = bag.add_connection(topic, name, typestore=store)
+            bag.write(topics[topic], time, store.serialize_ros1(old(message), name))
+    return path
 
 
 def frames(count=4, size=(64, 48)):

@@ -55,6 +55,16 @@ def test_files_and_folders_of_both_storages_are_read(tmp_path, pictures, storage
     assert not is_bag(tmp_path)
 
 
+def test_bags_of_ros_1_are_read(tmp_path, pictures):
+    lidar = LidarTopic("/points")
+    opened = open_bag_drive(bags.write_ros1(tmp_path / "drive.bag", bags.drive(pictures)), lidar=lidar)
+    assert opened.times == tuple(bags.START + i * bags.PERIOD for i in range(4))
+    assert (images(opened)[2] == pictures[2]).all()
+    assert np.allclose(opened.camera.matrix, [[51.2, 0, 31.5], [0, 51.2, 23.5], [0, 0, 1]])
+    assert np.allclose(opened.poses(None).at(0, 0.0), WORLD_T_CAMERA, atol=1e-6)
+    assert len(opened.clouds(lidar).evidence(0)[0].points) == 2
+
+
 def test_frames_are_chosen_as_those_of_videos(drive, pictures):
     opened = open_bag_drive(drive, choice=Choice(every=2, start=0.15))
     assert opened.frames.numbers == (2,)
@@ -129,7 +139,7 @@ def film(pictures, codec="h264"):
     return [np.frombuffer(bytes(packet), np.uint8) for packet in [*packets, *encoder.encode(None)]]
 
 
-@pytest.mark.parametrize("kind", ["CompressedVideo", "CompressedImage"])
+@pytest.mark.parametrize("kind", ["CompressedVideo", "CompressedImage", "FFMPEGPacket"])
 def test_films_are_decoded_from_their_beginning(tmp_path, pictures, kind):
     packets = film(pictures)
 
@@ -138,7 +148,11 @@ def test_films_are_decoded_from_their_beginning(tmp_path, pictures, kind):
             return bags.T.CompressedVideo(
                 timestamp=bags.stamp(time), frame_id="camera_optical", data=packets[i], format="h264"
             )
-        return bags.T.CompressedImage(header=bags.header(time, "camera_optical"), data=packets[i], format="h264")
+        header = bags.header(time, "camera_optical")
+        if kind == "FFMPEGPacket":
+            rest = {"width": 64, "height": 48, "pts": i, "flags": 0, "is_bigendian": False}
+            return bags.T.FFMPEGPacket(header=header, data=packets[i], encoding="libx264", **rest)
+        return bags.T.CompressedImage(header=header, data=packets[i], format="h264")
 
     messages = list(bags.drive(range(4), made=made, topic="/camera/video"))
     opened = open_bag_drive(bags.write(tmp_path / "drive", messages))
