@@ -61,13 +61,13 @@ ROOMS = {
         ),
     },
     "simulation": {"factors", "core", "solve/vehicle"},
-    "viz": {"core", "io", "perception/keypoints", "batch"},
+    "viz": {"core", "io", "perception/keypoints", "batch", "video"},
     "calibration": {
         *("core", "io", "io/datasets", "io/export", "solve/vehicle", "perception", "perception/keypoints", "video"),
     },
     "app": {
         *("core", "io", "io/cameras", "io/export", "io/keypoints", "solve", "simulation", "perception"),
-        *("perception/keypoints", "batch", "viz"),
+        *("perception/keypoints", "batch", "video", "viz"),
     },
     "cli": {
         *("core", "io", "io/datasets", "io/cameras", "io/export", "io/keypoints", "solve", "simulation", "perception"),

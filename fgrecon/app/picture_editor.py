@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import Any
 
 from fgrecon.app.view import PageView, Pixels, ShownCar
+from fgrecon.core.text import distinct
 
 LOOK, BOXES, KEYPOINTS = "look", "boxes", "keypoints"
 """What mouse and keys do."""
 
 _REACH = 14.0  # pixels on the screen within which something is taken hold of
 _LEAST = 8.0  # pixels of a box's side; smaller ones are a click
+_HAND_SHARE, _HAND_LEAST = 0.02, 1.0  # of the box's height, and pixels: how exact a hand is; not tuned
 _KEYS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowUp": (0, -1), "ArrowDown": (0, 1)}
 
 
@@ -23,17 +25,25 @@ class Editor:
 
     Attributes:
         size: Of the image.
-        boxes: x1, y1, x2, y2 of each vehicle.
-        points: Keypoints of each vehicle; None where one was not measured.
+        names: Of the vehicles, all different.
+        cars: What is known of those that were not drawn, by name.
+        boxes: x1, y1, x2, y2 of each vehicle; empty where it has none.
+        points: Keypoints of each vehicle, None where one was not measured; empty for a box that was drawn.
         mode: One of `LOOK`, `BOXES` and `KEYPOINTS`.
         chosen: Vehicle and, in mode `KEYPOINTS`, keypoint that keys move; None for none.
+        changed: Vehicles whose box was changed.
+        righted: Keypoints that were moved or taken away, as vehicle and keypoint.
     """
 
     size: tuple[int, int] = (1, 1)
+    names: list[str] = field(default_factory=list)
+    cars: dict[str, ShownCar] = field(default_factory=dict)
     boxes: list[list[float]] = field(default_factory=list)
     points: list[Pixels] = field(default_factory=list)
     mode: str = LOOK
     chosen: tuple[int, int] | None = None
+    changed: set[str] = field(default_factory=set)
+    righted: set[tuple[str, int]] = field(default_factory=set)
     _corner: int | None = None
     _from: tuple[float, float] | None = None
 
@@ -41,9 +51,17 @@ class Editor:
     def of(cls, view: PageView, mode: str) -> Editor:
         """What a view has to edit."""
         boxes = [[float(x) for x in car.instance.get("box", ())] for car in view.cars]
-        return cls(
-            view.size, [box for box in boxes if box], [list(car.instance["keypoints"]) for car in view.cars], mode
-        )
+        taken = set[str]()
+        cars = {distinct(car.name, taken): car for car in view.cars}
+        return cls(view.size, [*cars], cars, boxes, [list(car.instance["keypoints"]) for car in view.cars], mode)
+
+    def anew(self, by_hand: Collection[str]) -> list[int]:
+        """Vehicles whose keypoints the networks have to look for: boxes drawn or changed, but for those by hand."""
+        return [
+            number
+            for number, name in enumerate(self.names)
+            if self.boxes[number] and (not self.points[number] or (name in self.changed and name not in by_hand))
+        ]
 
     @property
     def scale(self) -> float:
@@ -68,15 +86,18 @@ class Editor:
 
     def _press_box(self, u: float, v: float) -> None:
         reach = _REACH * self.scale
-        for number, (x1, y1, x2, y2) in enumerate(self.boxes):
+        known = [(number, (box[0], box[1], box[2], box[3])) for number, box in enumerate(self.boxes) if box]
+        for number, (x1, y1, x2, y2) in known:
             for corner, (x, y) in enumerate(((x1, y1), (x2, y1), (x2, y2), (x1, y2))):
                 if abs(x - u) < reach and abs(y - v) < reach:
                     self.chosen, self._corner = (number, 0), corner
                     return
-        inside = [(x2 - x1, n) for n, (x1, y1, x2, y2) in enumerate(self.boxes) if x1 < u < x2 and y1 < v < y2]
+        inside = [(x2 - x1, n) for n, (x1, y1, x2, y2) in known if x1 < u < x2 and y1 < v < y2]
         if inside:
             self.chosen, self._corner = (min(inside)[1], 0), None
             return
+        self.names.append(distinct(f"drawn-{len(self.boxes) + 1}", set(self.names)))
+        self.points.append([])
         self.boxes.append([u, v, u, v])
         self.chosen, self._corner = (len(self.boxes) - 1, 0), 2
 
@@ -96,10 +117,12 @@ class Editor:
         if self.mode == KEYPOINTS:
             point = self.points[car][k]
             if point is not None:
+                self.righted.add((self.names[car], k))
                 self.points[car][k] = [_within(point[0] + across, width), _within(point[1] + down, height)]
             return
         moved = {0: (0, 1), 1: (2, 1), 2: (2, 3), 3: (0, 3), None: (0, 1, 2, 3)}[self._corner]
         box = self.boxes[car]
+        self.changed.add(self.names[car])
         for side in moved:
             box[side] = _within(box[side] + (down if side % 2 else across), (width, height)[side % 2])
 
@@ -108,14 +131,14 @@ class Editor:
         held, self._from = self._from is not None and self.chosen is not None, None
         if self.mode != BOXES or not held:
             return held and self.mode == KEYPOINTS
-        for box in self.boxes:
-            box[:] = [min(box[0], box[2]), min(box[1], box[3]), max(box[0], box[2]), max(box[1], box[3])]
-        kept = [box for box in self.boxes if box[2] - box[0] >= _LEAST and box[3] - box[1] >= _LEAST]
-        changed = len(kept) == len(self.boxes)
-        if not changed:
-            self.boxes, self.chosen = kept, None
+        number = self.chosen[0] if self.chosen is not None else 0
+        x1, y1, x2, y2 = self.boxes[number]
+        self.boxes[number] = [min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)]
         self._corner = None
-        return changed
+        if min(abs(x2 - x1), abs(y2 - y1)) >= _LEAST:
+            return self.names[number] in self.changed
+        self.remove()  # a click
+        return False
 
     def key(self, name: str, *, far: bool = False) -> bool:
         """Do what a key means: arrows move, n and p choose, Delete removes; whether something changed."""
@@ -136,7 +159,7 @@ class Editor:
 
     def _choose(self, step: int) -> None:
         places = (
-            [(n, 0) for n in range(len(self.boxes))]
+            [(n, 0) for n, box in enumerate(self.boxes) if box]
             if self.mode == BOXES
             else [(c, k) for c, points in enumerate(self.points) for k, p in enumerate(points) if p is not None]
         )
@@ -150,20 +173,42 @@ class Editor:
             return
         car, k = self.chosen
         if self.mode == BOXES:
-            del self.boxes[car]
+            del self.boxes[car], self.points[car], self.names[car]
         elif self.mode == KEYPOINTS:
             self.points[car][k] = None
+            self.righted.add((self.names[car], k))
         self.chosen = None
 
-    def keypoint_file(self, view: PageView) -> dict[str, Any]:
-        """The vehicles with their keypoints as they are now, as a keypoint file has them."""
-        instances = [car.instance | {"keypoints": points} for car, points in zip(view.cars, self.points, strict=True)]
-        for instance in instances:
-            instance["confidence"] = [
-                1.0 if confidence is None or point is None else confidence
-                for point, confidence in zip(instance["keypoints"], instance["confidence"], strict=True)
-            ]
+    def keypoint_file(self, view: PageView, found: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
+        """The vehicles as they are now, as a keypoint file has them.
+
+        Args:
+            view: What they were.
+            found: What the networks make of boxes that were drawn or changed, by the vehicle's number.
+        """
+        instances = []
+        for number, name in enumerate(self.names):
+            if number in found:
+                instances.append({**found[number], "id": name})
+                continue
+            box = {"box": self.boxes[number]} if self.boxes[number] else {}
+            instance = {**self.cars[name].instance, **box, "keypoints": self.points[number]}
+            instances.append(_righted(instance, {k for one, k in self.righted if one == name}))
         return {**view.camera, "instances": instances}
+
+
+def _righted(instance: dict[str, Any], keypoints: Collection[int]) -> dict[str, Any]:
+    """A vehicle some of whose keypoints were placed by hand: they are trusted, and as exact as a hand is."""
+    points, confidence = instance["keypoints"], list(instance.get("confidence") or [1.0] * len(instance["keypoints"]))
+    changes = {"confidence": [1.0 if p is None or c is None else c for p, c in zip(points, confidence, strict=True)]}
+    for k in keypoints:
+        changes["confidence"][k] = 1.0
+    if instance.get("covariance") is not None and keypoints:
+        box = instance.get("box") or [0.0] * 4
+        variance = max(_HAND_SHARE * (box[3] - box[1]), _HAND_LEAST) ** 2
+        exact = [[variance, 0.0], [0.0, variance]]
+        changes["covariance"] = [exact if k in keypoints else c for k, c in enumerate(instance["covariance"])]
+    return instance | changes
 
 
 def _within(value: float, limit: int) -> float:
@@ -192,28 +237,31 @@ def drawing(view: PageView, editor: Editor, step: int | None, shown: int | None 
         if step is None or number != shown:
             parts += [_line(edge, car.colour, 0.8 * unit, f"{3 * unit} {3 * unit}") for edge in car.frame]
     for number, box in enumerate(editor.boxes):
+        if not box:
+            continue
         parts.append(
             _box(box, unit, chosen=editor.mode == BOXES and editor.chosen == (number, 0), handles=editor.mode == BOXES)
         )
     if editor.mode == KEYPOINTS or step is not None:
-        parts += _points(view.cars, editor, unit)
+        parts += _points(editor, unit)
     parts += [_name(car, unit) for car in view.cars]
     return "".join(parts)
 
 
-def _points(cars: Sequence[ShownCar], editor: Editor, unit: float) -> list[str]:
+def _points(editor: Editor, unit: float) -> list[str]:
     drawn = []
     for number, points in enumerate(editor.points):
+        car = editor.cars.get(editor.names[number])
         for k, point in enumerate(points):
-            if point is None:
+            if point is None or car is None:
                 continue
-            chosen = editor.chosen == (number, k)
-            names = cars[number].keypoints if number < len(cars) else []
-            title = escape(names[k]) if k < len(names) else ""
+            chosen, colour = editor.chosen == (number, k), car.colour
+            title = escape(car.keypoints[k]) if k < len(car.keypoints) else ""
+            fill = colour if car.is_trusted(k) or (editor.names[number], k) in editor.righted else "none"
+            edge = "#ff0" if chosen else "#fff" if fill == colour else colour
             drawn.append(
                 f'<circle cx="{point[0]:.1f}" cy="{point[1]:.1f}" r="{(6 if chosen else 4) * unit:.1f}" '
-                f'fill="{cars[number].colour}" stroke="{"#ff0" if chosen else "#fff"}" stroke-width="{1.5 * unit:.1f}">'
-                f"<title>{title}</title></circle>"
+                f'fill="{fill}" stroke="{edge}" stroke-width="{1.5 * unit:.1f}"><title>{title}</title></circle>'
             )
     return drawn
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, Self
 from urllib.parse import urlencode
 
 from fgrecon.core.choices import BoxModel, StrategyName, TrafficSide
@@ -16,6 +16,8 @@ from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.catalogue import load_prior, shipped_priors
 from fgrecon.io.keypoints.names import shipped_schemes
 from fgrecon.io.run_settings import RunSettings
+
+_MOST = 1e6  # frames, or seconds, of a video
 
 
 def _entry(words: str, choices: Iterable[str] = ()) -> Any:
@@ -51,7 +53,7 @@ class Requested:
     history: str = _entry("Whether results keep every step of the optimisation and its graph.", ("yes", "no"))
 
     @classmethod
-    def of(cls, items: Iterable[tuple[str, str]]) -> Requested:
+    def of(cls, items: Iterable[tuple[str, str]]) -> Self:
         """From the items of a query.
 
         Raises:
@@ -162,3 +164,24 @@ class Requested:
     def _numbers(self, name: str, expected: str, counts: tuple[int, ...]) -> list[float] | None:
         text = getattr(self, name)
         return parse_numbers(name, text, expected, counts) if text else None
+
+
+@dataclass(frozen=True)
+class PageRequested(Requested):
+    """What is requested of the page: of a video also which frames are taken."""
+
+    every: str = _entry("Take every so many frames.")
+    start: str = _entry("Begin so many seconds after the first frame.")
+    end: str = _entry("End so many seconds after the first frame.")
+
+    def frames(self) -> dict[str, Any]:
+        """Which frames of a video are taken, as `fgrecon.video.video_job.VideoRequest` has it.
+
+        Raises:
+            InvalidInputError: A value is no number, or outside of the limits.
+        """
+        every = self.number("every", 1.0, _MOST)
+        if every is not None and every != round(every):
+            raise InvalidInputError("every", self.every, "Give a whole number.")
+        start, end = self.number("start", 0.0, _MOST), self.number("end", 0.0, _MOST)
+        return {"every": int(every or 1), "start": start or 0.0, "end": end}

@@ -16,9 +16,11 @@ from fgrecon.app.solving import SolvedUpload, Uploaded, solve
 from fgrecon.batch.results_file import document
 from fgrecon.batch.solve_tasks import Outcome
 from fgrecon.core.camera import Camera
+from fgrecon.core.observation import Observation
 from fgrecon.io.export.mesh import glb_bytes
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.export.table import csv_text
+from fgrecon.io.keypoint_file import Instance
 from fgrecon.viz import style
 from fgrecon.viz.from_above import draw_scene_from_above, ellipse_scale, extent_from_above
 from fgrecon.viz.geometry import BOX_EDGES, image_points, level_axes, outline_corners, resolution
@@ -71,6 +73,14 @@ class ShownCar:
     frame: list[Pixels] = field(default_factory=list)
     others: list[list[str]] = field(default_factory=list)
     factors: dict[str, int] = field(default_factory=dict)
+
+    def is_trusted(self, keypoint: int) -> bool:
+        """Whether a keypoint was given as rather right than wrong."""
+        confidence = self.instance.get("confidence")
+        if confidence is None:
+            return True
+        midpoint = self.instance["confidence_midpoint"] or Observation.confidence_midpoint
+        return bool((confidence[keypoint] or 0.0) >= midpoint)
 
 
 @dataclass(frozen=True)
@@ -194,7 +204,7 @@ def _car(number: int, outcome: Outcome) -> ShownCar:
         "name": outcome.name,
         "cells": [*cells, message_of(outcome)],
         "colour": f"rgb({red},{green},{blue})",
-        "instance": _instance(outcome),
+        "instance": instance_of(outcome.task.instance),
     }
     if result is None:
         return ShownCar(**car, keypoints=[], edges=[], steps=[])
@@ -241,9 +251,8 @@ def _numbers(values: NDArray[np.float64]) -> list[float]:
     return [round(float(value), 3) for value in np.nan_to_num(values)]
 
 
-def _instance(outcome: Outcome) -> dict[str, Any]:
+def instance_of(given: Instance) -> dict[str, Any]:
     """A vehicle as a keypoint file has it."""
-    given = outcome.task.instance
     arrays = {name: getattr(given, name) for name in ("confidence", "covariance", "box", "azimuth")}
     plain = {name: np.asarray(value).tolist() for name, value in arrays.items() if value is not None}
     keypoints = [None if point is None else point for point in _pixels(given.keypoints)]

@@ -191,7 +191,7 @@ def run_command(
     if options.delivery.save is not None:
         with screen.bar() as advance:
             screen.wrote(run_report.recording(job, run, advance).write(options.delivery.save))
-    screen.print(run_report.table(run), run_report.in_words(run))
+    screen.print(run_report.table(run), run.summary)
     screen.detail(*run_report.details(run))
     screen.write_json(run_report.document(job, run))
     if run.stopped:

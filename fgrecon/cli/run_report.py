@@ -14,7 +14,6 @@ from typing import Any
 from rich.table import Table
 
 from fgrecon.cli.options import Viewer
-from fgrecon.cli.run_film import Showing, film, recorded, still
 from fgrecon.cli.terminal import Advance, Screen, compact_table
 from fgrecon.core.text import counted
 from fgrecon.io.files import write_text
@@ -24,6 +23,7 @@ from fgrecon.video import VideoRun
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.video_job import VideoJob, track_video
 from fgrecon.viz import Recording
+from fgrecon.viz.film import Showing, film, recorded, still
 from fgrecon.viz.sinks import start_viewer
 from fgrecon.viz.video_recording import LiveRecording, video_recording_of
 
@@ -142,16 +142,6 @@ def table(run: VideoRun) -> Table:
     for status, count in [*sorted(found.items()), *([("refused", refused)] if refused else [])]:
         result.add_row(status, str(count))
     return result
-
-
-def in_words(run: VideoRun) -> str:
-    """What the run was."""
-    gaps = f", {len(run.gaps)} of them gaps" if run.gaps else ""
-    before = f"; {run.before} {'was' if run.before == 1 else 'were'} looked at before" if run.before else ""
-    how = "smoothed" if run.smoothed else "each estimate as of its frame"
-    went = "" if run.way is None else f"; the camera went {run.way:.1f} m"
-    parts = (counted(len(run.frames), "frame") + gaps, counted(len(run.tracks), "car"))
-    return f"{', '.join(parts)}, {counted(run.estimates, 'estimate')}, {how}{went}{before}."
 
 
 def details(run: VideoRun) -> list[str]:

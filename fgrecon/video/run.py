@@ -26,7 +26,7 @@ import numpy as np
 
 from fgrecon.batch.parts import RECORDS, Parts, begin, claimed, refuse_batch
 from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
-from fgrecon.core.text import whole_text
+from fgrecon.core.text import counted, whole_text
 from fgrecon.io.frames import FrameSource, ImageFrames, SourceFrame
 from fgrecon.video.coverage import check_coverage, coverage_warnings, planned_frames
 from fgrecon.video.follow import Follower
@@ -94,6 +94,16 @@ class VideoRun:
     def estimates(self) -> int:
         """How many estimates there are."""
         return sum(len(head.found) for head in self.frames.heads)
+
+    @property
+    def summary(self) -> str:
+        """What it was, in a sentence."""
+        gaps = f", {len(self.gaps)} of them gaps" if self.gaps else ""
+        before = f"; {self.before} {'was' if self.before == 1 else 'were'} looked at before" if self.before else ""
+        how = "smoothed" if self.smoothed else "each estimate as of its frame"
+        went = "" if self.way is None else f"; the camera went {self.way:.1f} m"
+        parts = (counted(len(self.frames), "frame") + gaps, counted(len(self.tracks), "car"))
+        return f"{', '.join(parts)}, {counted(self.estimates, 'estimate')}, {how}{went}{before}."
 
     def smooth(self, follower: Follower) -> None:
         """Put the smoother's estimates in the place of the first ones, as far back as it goes.

@@ -63,7 +63,7 @@ def open_page(browser, address):
 
 
 def take_sample(page):
-    page.get_by_role("button", name="Sample").click()
+    page.get_by_role("button", name="Sample", exact=True).click()
     page.get_by_text("converged").first.wait_for()
     page.locator(".fg-picture line").first.wait_for()
 
@@ -161,11 +161,48 @@ def test_uploads_wrong_ones_and_names_that_are_paths(open_page, sample):
     page.get_by_text("converged").first.wait_for()
     upload(page, "cars.json", (sample / "cars.json").read_bytes())
     page.get_by_text("car-1").first.wait_for()
+    upload(page, "boxes.txt", (sample / "boxes.txt").read_bytes())
+    page.get_by_text("car-1").first.wait_for(state="detached")
+    page.get_by_text("converged").first.wait_for()
+
+
+def test_a_pasted_text_is_an_upload(open_page, sample):
+    page = open_page()
+    page.get_by_role("button", name="Sample", exact=True).wait_for()
+    paste = """text => {const data = new DataTransfer(); data.setData('text/plain', text);
+        document.body.dispatchEvent(new ClipboardEvent('paste', {clipboardData: data, bubbles: true}))}"""
+    page.evaluate(paste, (sample / "cars.json").read_text())
+    page.get_by_text("car-1").first.wait_for()
+
+
+def test_a_video_while_the_page_is_used(open_page):
+    page = open_page()
+    page.get_by_role("button", name="Sample video").click()
+    page.get_by_role("button", name="Stop").wait_for(timeout=120_000)
+    take_sample(page)
+    page.locator("video").wait_for(timeout=300_000)
+    page.get_by_text("heading").first.wait_for()
+    page.wait_for_function("document.querySelector('video').readyState >= 1")
+    assert page.evaluate("document.querySelector('video').duration") > 0.5
+    page.evaluate("document.querySelector('video').currentTime = 0.6")
+    page.get_by_text(re.compile("Car 0 at 0.[56]0 s")).wait_for()
+    for label, beginning in {"Film": b"\0\0\0", "JSON": b'{"format"', "CSV": b"frame,", "Recording": b"RRF"}.items():
+        with page.expect_download() as download:
+            page.get_by_role("button", name=label).last.click()
+        assert Path(download.value.path()).read_bytes().startswith(beginning)
+
+
+def test_a_video_that_is_none_is_refused_in_words(open_page):
+    page = open_page()
+    upload(page, "../x.mp4", b"no video" * 1000)
+    page.get_by_text("x.mp4").first.wait_for()
+    page.get_by_text(re.compile("Give ")).first.wait_for(timeout=120_000)
+    assert "Traceback" not in page.content()
 
 
 def test_by_keyboard_alone(open_page):
     page = open_page()
-    page.get_by_role("button", name="Sample").wait_for()
+    page.get_by_role("button", name="Sample", exact=True).wait_for()
     for _ in range(10):
         page.keyboard.press("Tab")
         if "Sample" in page.evaluate("document.activeElement.innerText || ''").title():
@@ -200,6 +237,6 @@ def test_what_was_made_is_for_its_visitor_alone_and_gone_with_him(open_page, add
 def test_ten_visitors_at_once(open_page):
     pages = [open_page() for _ in range(10)]
     for page in pages:
-        page.get_by_role("button", name="Sample").click()
+        page.get_by_role("button", name="Sample", exact=True).click()
     for page in pages:
         page.get_by_text("converged").first.wait_for(timeout=180_000)

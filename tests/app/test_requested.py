@@ -5,6 +5,7 @@ import shlex
 import pytest
 
 from fgrecon.app.requested import Requested
+from fgrecon.app.solving import Uploaded
 from fgrecon.app.written import as_code, as_command
 from fgrecon.core.errors import InvalidInputError
 
@@ -77,7 +78,7 @@ def test_the_command_is_one(tmp_path):
     from fgrecon.cli import main
     from fgrecon.cli.sample import sample_command  # noqa: F401
 
-    words = shlex.split(as_command(Requested.of([i for i in ALL if i[0] != "distortion"]), "none.png"))
+    words = shlex.split(as_command(Requested.of([i for i in ALL if i[0] != "distortion"]), Uploaded("none.png")))
     assert words[:3] == ["fgrecon", "reconstruct", "none.png"]
     done = CliRunner().invoke(main.app, words[1:])
     assert "none.png" in str(done.exception)  # all options were understood
@@ -90,12 +91,12 @@ def test_the_code_of_keypoints_gives_what_the_command_gives(tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cars.json").write_text(EXAMPLE, encoding="utf-8")
     requested = Requested.of([("size_prior", "kitti"), ("camera_height", "1.65"), ("min_confidence", "0.1")])
-    exec(as_code(requested, "cars.json", of_image=False), {})
+    exec(as_code(requested, Uploaded("cars.json")), {})
     assert "Reconstruction: converged" in capsys.readouterr().out
 
 
 def test_the_code_of_a_photograph_compiles():
-    code = as_code(Requested.of(ALL), "street.png", of_image=True)
+    code = as_code(Requested.of(ALL), Uploaded("street.png"))
     compile(code, "code", "exec")
     assert "boxes=[(1,2,30,40), (5,6,70,80)]" in code
     assert "fgrecon.Camera.of((721.5,721.5,609.6,172.9), [0.1,0,0,0])" in code

@@ -66,7 +66,7 @@ def test_picture_and_recording(folder):
 
 
 def test_what_the_editor_gives_is_solved_to_the_same(folder, view):
-    (folder / "again.json").write_text(json.dumps(Editor.of(view, KEYPOINTS).keypoint_file(view), allow_nan=False))
+    (folder / "again.json").write_text(json.dumps(Editor.of(view, KEYPOINTS).keypoint_file(view, {}), allow_nan=False))
     again = view_of(folder, Uploaded("again.json", photograph="street.png"), KITTI)
     for first, second in zip(view.cars, again.cars, strict=True):
         assert second.cells[1] == first.cells[1]

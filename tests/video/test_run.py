@@ -23,6 +23,7 @@ from fgrecon.video import (
     GatedAssociation,
     MotionEstimator,
     SingleImageTracker,
+    VideoRun,
     open_frames,
     read_given,
     rows_of,
@@ -287,3 +288,8 @@ def test_kittis_frames_from_pixels(data, tmp_path):
     rest = go(tmp_path / "out", 99)
     assert rest.before == 2
     assert rows_of(rest.frames, flat=False) == rows_of(whole.frames, flat=False)
+
+
+def test_what_was_looked_at_before_is_in_good_english():
+    assert VideoRun(None, before=1).summary.endswith("; 1 was looked at before.")
+    assert VideoRun(None, before=2).summary.endswith("; 2 were looked at before.")

@@ -1,14 +1,14 @@
-"""What `fgrecon run` writes beside vehicles, plots of them, and says of itself. No solver is asked."""
+"""What is written beside the vehicles of a video and plotted of them. No solver is asked."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from fgrecon.cli.run_film import Showing
-from fgrecon.cli.run_report import in_words
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.vehicle_estimate import VehicleEstimate
-from fgrecon.video import VideoRun
 from fgrecon.video.follow import TrackedFrame
+from fgrecon.viz.film import Showing, values_of
 from tests.results import changed
 from tests.viz.made_up import make_example
 
@@ -49,13 +49,11 @@ def test_sizes_and_yaw_are_plotted_with_their_bands():
     ):
         assert values[name] == pytest.approx((value, value - 1.96 * sigma, value + 1.96 * sigma))
     assert values["yaw"][1] <= values["yaw"][0] <= values["yaw"][2]
-    assert values["speed"] == (10.0,)
+    assert values["speed"][0] == 10.0
+    assert np.isnan(values["speed"][1:]).all()
+    moving = replace(frame(0).estimates[5], velocity_covariance=np.diag([0.04, 9.0, 9.0]))
+    assert values_of(moving)["speed"] == pytest.approx((10.0, 10.0 - 1.96 * 0.2, 10.0 + 1.96 * 0.2))
     unknown = Showing().frame(frame(0, pose_covariance=None), None).values[5]["yaw"]
     assert unknown[0] == values["yaw"][0]
     assert np.isnan(unknown[1:]).all()
     assert Showing().frame(frame(0, status=Status.DEGENERATE), None).values == {5: {}}
-
-
-def test_what_was_looked_at_before_is_in_good_english():
-    assert in_words(VideoRun(None, before=1)).endswith("; 1 was looked at before.")
-    assert in_words(VideoRun(None, before=2)).endswith("; 2 were looked at before.")

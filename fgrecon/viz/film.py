@@ -1,15 +1,14 @@
-"""Video, picture and recording of `fgrecon run`: frames once more, with the estimates drawn into them."""
+"""Video, picture and recording of tracked frames, read once more, with the estimates drawn into them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.cli.terminal import Advance
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
 from fgrecon.core.vehicle_estimate import VehicleEstimate
@@ -18,16 +17,21 @@ from fgrecon.io.video import write_video
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.frame_store import FrameStore
 from fgrecon.video.rows import motion_of
-from fgrecon.viz import DrawnVehicle, save_picture, scene_picture
 from fgrecon.viz.entities import SIZES
 from fgrecon.viz.overlay import annotated
+from fgrecon.viz.picture import save_picture
+from fgrecon.viz.scene_picture import scene_picture
 from fgrecon.viz.scene_recording import state_in_words
-from fgrecon.viz.subjects import detection_words
+from fgrecon.viz.subjects import DrawnVehicle, detection_words
 from fgrecon.viz.video_recording import RecordedFrame
+
+Advance = Callable[[str, int, int | None], None]
+"""Called with what is being done, how much of it is done, and how much there is."""
 
 _RATE = 10.0  # for players; the frames have times of their own
 _TRAIL = 100  # frames that a vehicle's path is drawn
 _SIGMAS = 1.96  # of 95 %
+_STILL = 1e-9  # m/s: what has less has no direction
 
 
 class Showing:
@@ -88,7 +92,7 @@ class Showing:
             vehicles=self.vehicles(frame),
             world_T_camera=frame.world_T_camera,
             problem=frame.problem,
-            values={identity: _values(estimate) for identity, estimate in frame.estimates.items()},
+            values={identity: values_of(estimate) for identity, estimate in frame.estimates.items()},
             states=states,
             window=frame.window,
         )
@@ -166,13 +170,18 @@ def _with_images(
     """The frames with their images, which are read once more."""
     index = {head.number: i for i, head in enumerate(frames.heads)}
     for done, picture in enumerate(source.read(), start=1):
+        if not frames.heads or picture.number > frames.heads[-1].number:  # of a run that was stopped
+            break
         advance(doing, done, len(frames))
         if picture.number in index:
             yield frames[index[picture.number]], picture.image
 
 
-def _values(estimate: VehicleEstimate) -> dict[str, tuple[float, ...]]:
-    """What is plotted of a vehicle: numbers, yaw and size with their bands of 95 %; nothing where it has no pose."""
+def values_of(estimate: VehicleEstimate) -> dict[str, tuple[float, ...]]:
+    """What is plotted of a vehicle: numbers, those of yaw, speed and size with their bands of 95 %.
+
+    Nothing where it has no pose.
+    """
     result = estimate.reconstruction
     if not result.status.determined:
         return {}
@@ -184,7 +193,17 @@ def _values(estimate: VehicleEstimate) -> dict[str, tuple[float, ...]]:
         **{name: _band(*pair) for name, *pair in zip(SIZES, result.box_size, spreads, strict=True)},
         "distance": (float(np.linalg.norm(result.location)),),
         **known,
+        **({} if estimate.speed is None else {"speed": _band(estimate.speed, _speed_sigma(estimate))}),
     }
+
+
+def _speed_sigma(estimate: VehicleEstimate) -> float:
+    """Of the speed, metres per second; NaN where it is not known."""
+    velocity, covariance = estimate.velocity, estimate.velocity_covariance
+    if velocity is None or covariance is None:
+        return float("nan")
+    along = velocity / max(float(np.linalg.norm(velocity)), _STILL)
+    return float(np.sqrt(along @ covariance @ along))
 
 
 def _band(value: float, sigma: float) -> tuple[float, ...]:

@@ -1,0 +1,191 @@
+"""A visitor of the page: the uploads, what is requested of them, and what was made; gone with the visitor."""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from fgrecon.app.drawn_boxes import instances_in_boxes
+from fgrecon.app.limits import Limits
+from fgrecon.app.picture_editor import BOXES, Editor
+from fgrecon.app.requested import PageRequested
+from fgrecon.app.solving import Uploaded
+from fgrecon.app.upload_kinds import Kind, kind_of, safe_name
+from fgrecon.app.view import PageView, view_of
+from fgrecon.app.workers import Workers
+from fgrecon.core.errors import FgreconError
+
+Made = dict[str, dict[str, bytes | Path]]
+"""What was made for each visitor, by a secret and a name: content, or where a file is."""
+
+_KEPT = 6  # uploads of a visitor
+_EDITED = "keypoints.json"
+
+
+@dataclass(frozen=True)
+class Upload:
+    """Files that belong together, and which is which."""
+
+    names: Uploaded
+    files: Mapping[str, bytes | Path]
+
+    def with_file(self, kind: Kind, name: str, content: bytes | Path) -> Upload:
+        """Another file comes: a photograph or keypoints begin anew, but for what is about them."""
+        before = self.names
+        if kind is Kind.CAMERA:
+            names = replace(before, camera=name)
+        elif kind is Kind.BOXES:
+            names = replace(Uploaded(self.photograph or "", camera=before.camera), boxes=name)
+        elif kind is Kind.KEYPOINTS:
+            drawn_on = self.photograph if self.photograph and _is_about(content, self.photograph) else None
+            names = Uploaded(name, camera=before.camera, photograph=drawn_on)
+        elif before.main and not before.of_image and _is_about(self.files[before.main], name):
+            names = replace(before, photograph=name)
+        else:
+            names = Uploaded(name, camera=before.camera, boxes=None if before.main else before.boxes)
+        files = {**self.files, name: content}
+        wanted = (names.main, names.camera, names.boxes, names.photograph)
+        return Upload(names, {one: files[one] for one in wanted if one})
+
+    @property
+    def photograph(self) -> str | None:
+        """The photograph's name; None where there is none."""
+        return self.names.main if self.names.of_image else self.names.photograph
+
+
+def _is_about(keypoints: bytes | Path, photograph: str) -> bool:
+    """Whether keypoints name this photograph, or none."""
+    text = keypoints if isinstance(keypoints, bytes) else keypoints.read_bytes()
+    return photograph.encode() in text or not (b'"image"' in text or b'"file_name"' in text)
+
+
+class Visit:
+    """One visitor's upload, what is requested of it, and what is shown."""
+
+    def __init__(self, workers: Workers, limits: Limits, made: Made, requested: PageRequested) -> None:
+        """Begin with what a link requests."""
+        self.workers, self.limits, self.requested = workers, limits, requested
+        self.token, self._made = secrets.token_urlsafe(16), made
+        made[self.token] = {}
+        self.kept: dict[str, Upload] = {}
+        self.upload = Upload(Uploaded(""), {})
+        self.view: PageView | None = None
+        self.editor = Editor()
+        self.by_hand: set[str] = set()
+        self.step: int | None = None
+        self.car = 0
+        self.left = False
+        self._asked = 0
+
+    def leave(self) -> None:
+        """Forget everything."""
+        self._made.pop(self.token, None)
+        self.kept, self.upload, self.view, self.left = {}, Upload(Uploaded(""), {}), None, True
+
+    @property
+    def chosen(self) -> str:
+        """Name of what is shown."""
+        return self.upload.names.main
+
+    def take(self, name: str, content: bytes) -> None:
+        """A file comes, see `Upload.with_file`.
+
+        Raises:
+            FgreconError: It is too large, or nothing that is known.
+        """
+        if len(content) > self.limits.upload_bytes:
+            raise FgreconError(f"{name}: too large. Give at most {self.limits.upload_bytes >> 20} MB.")
+        safe = safe_name(name)
+        kind = kind_of(safe, content)
+        self.upload = self.upload.with_file(kind, safe, content)
+        if kind is not Kind.CAMERA:
+            self.requested = replace(self.requested, box=())
+            self.by_hand = set()
+        if self.chosen:
+            self.kept.pop(self.chosen, None)
+            self.kept = dict([*self.kept.items()][1 - _KEPT :]) | {self.chosen: self.upload}
+
+    def switch(self, name: str) -> bool:
+        """Show another upload; whether there is one of that name that was not shown."""
+        if name not in self.kept or name == self.chosen:
+            return False
+        self.upload, self.by_hand = self.kept[name], set()
+        self.requested = replace(self.requested, box=())
+        return True
+
+    async def solve(self) -> None:
+        """Let a worker solve what there is.
+
+        Raises:
+            FgreconError: It cannot be used, or too many wait.
+        """
+        if not self.chosen:
+            return
+        self._asked = asked = self._asked + 1
+        with self.workers.place():
+            view = await self.workers(self.upload.files, view_of, self.upload.names, self.requested)
+        if asked != self._asked or self.left:  # something newer was requested meanwhile
+            return
+        self.view, self.step = view, None
+        if not self.upload.names.of_image and self.chosen != _EDITED:
+            self.by_hand = {car.name for car in view.cars}  # given keypoints
+        self.editor = Editor.of(view, self.editor.mode)
+        self.car = min(self.car, len(view.cars) - 1)
+        self.show({**view.files, "photograph.jpg": view.photograph})
+
+    async def edited(self) -> None:
+        """Take the boxes or keypoints as they are now for what is to be solved.
+
+        Boxes that were drawn or changed get keypoints from the networks, but for those of cars whose keypoints were
+        righted by hand.
+
+        Raises:
+            FgreconError: A box was drawn and there is no photograph, no box is left, or a box cannot be used.
+        """
+        assert self.view is not None
+        editor, photograph = self.editor, self.upload.photograph
+        self.by_hand |= {name for name, _ in editor.righted}
+        if not any(editor.boxes) and not any(editor.points):
+            raise FgreconError("No car is left: draw a box.")
+        if editor.mode == BOXES and photograph is None and editor.anew(self.by_hand):
+            raise FgreconError("Keypoints in a box need the photograph: drop it as well.")
+        if photograph is not None and not self.by_hand:
+            boxes = tuple(",".join(f"{x:.1f}" for x in box) for box in editor.boxes if box)
+            names = Uploaded(photograph, camera=self.upload.names.camera)
+            self.requested = replace(self.requested, box=boxes)
+        else:
+            found = await self._detected(photograph) if editor.mode == BOXES else {}
+            text = json.dumps(editor.keypoint_file(self.view, found), allow_nan=False).encode()
+            self.upload = replace(self.upload, files={**self.upload.files, _EDITED: text})
+            names = Uploaded(_EDITED, camera=self.upload.names.camera, photograph=photograph)
+            self.requested = replace(self.requested, box=())
+        wanted = (names.main, names.camera, names.photograph)
+        self.upload = Upload(names, {one: self.upload.files[one] for one in wanted if one})
+
+    async def _detected(self, photograph: str | None) -> dict[int, dict[str, object]]:
+        """Instances by the networks for the boxes that were drawn or changed, by their number."""
+        anew = self.editor.anew(self.by_hand)
+        if not anew:
+            return {}
+        assert photograph is not None
+        boxes = [self.editor.boxes[number] for number in anew]
+        files = {photograph: self.upload.files[photograph]}
+        with self.workers.place():
+            found = await self.workers(files, instances_in_boxes, photograph, boxes, self.requested)
+        return dict(zip(anew, found, strict=True))
+
+    async def made(self, work: Callable[..., bytes]) -> bytes:
+        """What a worker makes of the upload: a picture or a recording."""
+        with self.workers.place():
+            return await self.workers(self.upload.files, work, self.upload.names, self.requested)
+
+    def show(self, files: Mapping[str, bytes | Path]) -> None:
+        """Let this visitor find files under `url`."""
+        self._made.setdefault(self.token, {}).update(files) if not self.left else None
+
+    def url(self, name: str) -> str:
+        """Where this visitor alone finds something that was made."""
+        return f"/made/{self.token}/{name}?{self._asked}"
