@@ -79,7 +79,6 @@ ROOMS = {
     "research/annotation": {
         *("factors", "core", "io", "solve", "solve/vehicle", "solve/proposals", "solve/graph"),
         *("perception", "perception/keypoints", "calibration"),
-        "research/io",
     },
     "research/evaluation": {
         *("core", "io", "io/export", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"),
@@ -91,7 +90,6 @@ ROOMS = {
     "research/training/keypoints": {
         *("factors", "core", "io", "research/io/annotations", "solve/vehicle", "simulation"),
         *("perception", "perception/keypoints", "research/training/priors"),
-        "research/io",
     },
     "research/paper": {
         *(
@@ -108,7 +106,7 @@ ROOMS = {
         *("research", "research/evaluation", "research/training/priors", "research/training/keypoints"),
         "research/io",
     },
-    "research/viz": {"core", "viz", "research/io"},
+    "research/viz": {"core", "io", "viz"},
     "research/cli/evaluate": {
         *("core", "io", "io/datasets", "io/export", "perception/keypoints", "simulation", "viz", "calibration", "cli"),
         *("research/evaluation", "research/viz"),
@@ -128,7 +126,6 @@ ROOMS = {
         ),
         *("research/annotation", "research/training/priors", "research/training/keypoints", "research/paper"),
         "research/viz",
-        "research/io",
         "research/cli/evaluate",
     },
     "research/cli/paper": {

@@ -88,7 +88,7 @@ def _tables(path: Path) -> None:
 
 def _coco() -> Mapping[str, bytes]:
     """As `write_coco_keypoints` writes it."""
-    from fgrecon_research.io.coco_keypoints import COCO_KEYPOINTS_FORMAT
+    from fgrecon.io.coco_keypoints import COCO_KEYPOINTS_FORMAT
 
     size = _CAR.size
     image = {"id": 1, "file_name": _IMAGE, "width": 640, "height": 480, "drive": "d", "frame": 0}
@@ -119,7 +119,7 @@ def _coco() -> Mapping[str, bytes]:
 
 
 def _read_coco(path: Path) -> None:
-    from fgrecon_research.io.coco_keypoints import read_coco_keypoints
+    from fgrecon.io.coco_keypoints import read_coco_keypoints
 
     read_coco_keypoints(path)
 

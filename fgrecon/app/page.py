@@ -1,37 +1,27 @@
-"""`fgrecon app`: the page, by NiceGUI. Each visitor has a `Visit`; nothing is kept of one who has gone."""
+"""The page: what a visitor gives at the left, what becomes of it at the right."""
 
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from math import radians, tan
-from pathlib import Path
 from typing import Any
 
-from fastapi import FastAPI, Request, Response
-from nicegui import app as nicegui_app
 from nicegui import events, ui
 from nicegui.elements.upload_files import SmallFileUpload
-from starlette.responses import FileResponse
 
-from fgrecon.app.guard import Guard
-from fgrecon.app.limits import Limits
 from fgrecon.app.picture_editor import LOOK
 from fgrecon.app.picture_panel import HINTS, PicturePanel
-from fgrecon.app.requested import PageRequested
 from fgrecon.app.result_tabs import TABLE, ResultTabs
-from fgrecon.app.sample import GIVEN, make_page_ready, sample_photograph, sample_video
+from fgrecon.app.sample import GIVEN, sample_video
 from fgrecon.app.upload_kinds import is_video
 from fgrecon.app.video_panel import VideoPanel
-from fgrecon.app.visit import Made, Visit
+from fgrecon.app.visit import Visit
 from fgrecon.app.workers import Workers
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.viz.outcomes import HEADINGS
 
-_KIND = {".glb": "model/gltf-binary", ".jpg": "image/jpeg", ".png": "image/png"}
-_VIDEOS = 4  # that may wait
-_RECONNECT = 20.0  # seconds after which a visitor whose connection broke has gone
 _ACCEPT = "image/*,video/*,.mkv,.json,.txt,.yaml,.yml"
 _ENTRIES = {
     "intrinsics": "Camera: fx,fy,cx,cy [px]",
@@ -70,59 +60,7 @@ function fgTake(video) {const c = document.createElement('canvas');
 </script>"""
 
 
-def page_app(count: int, limits: Limits, hosts: tuple[str, ...], ready: Callable[[], None]) -> Any:
-    """The page as an ASGI application.
-
-    Args:
-        count: How many processes solve.
-        limits: What it takes.
-        hosts: Names under which it may be asked for; `*` is any.
-        ready: Called when it answers.
-    """
-    made: Made = {}
-    workers: list[Workers] = []
-    sample: list[bytes] = []
-    api = FastAPI(openapi_url=None)
-
-    async def start() -> None:
-        workers.append(Workers(count, limits, limits.solve_seconds))
-        workers.append(Workers(1, replace(limits, waiting=_VIDEOS), limits.video_seconds))
-        await workers[0].make_ready(make_page_ready)
-        sample.append(await workers[0]({}, sample_photograph))
-        ready()
-
-    async def stop() -> None:
-        while workers:
-            workers.pop().close()
-
-    async def file(request: Request) -> Response:
-        token, name = request.path_params["token"], request.path_params["name"]
-        content = made.get(token, {}).get(name)
-        if content is None:
-            return Response("There is none.", 404)
-        if isinstance(content, Path):
-            return FileResponse(content, headers={"Cache-Control": "no-store"})
-        kind = _KIND.get(Path(name).suffix, "application/octet-stream")
-        return Response(content, media_type=kind, headers={"Cache-Control": "no-store"})
-
-    def root(request: Request) -> None:
-        try:
-            requested, problem = PageRequested.of(request.query_params.multi_items()), None
-        except FgreconError as error:
-            requested, problem = PageRequested(), str(error)
-        visit = Visit(workers[0], limits, made, requested)
-        ui.context.client.on_delete(visit.leave)
-        _Page(visit, workers[1], sample[0], problem)
-
-    nicegui_app.on_startup(start)
-    nicegui_app.on_shutdown(stop)
-    api.add_api_route("/made/{token}/{name}", file)
-    ui.page("/", title="fgrecon", dark=None)(root)
-    ui.run_with(api, title="fgrecon", dark=None, show_welcome_message=False, reconnect_timeout=_RECONNECT)
-    return Guard(api, limits, hosts)
-
-
-class _Page:
+class Page:
     """The elements of the page, and what happens when they are used."""
 
     def __init__(self, visit: Visit, video_workers: Workers, sample: bytes, problem: str | None) -> None:

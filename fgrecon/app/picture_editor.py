@@ -179,6 +179,26 @@ class Editor:
             self.righted.add((self.names[car], k))
         self.chosen = None
 
+    def hidden(self, number: int) -> dict[int, str]:
+        """Names of a vehicle's keypoints that are not measured and that the graph has a place for, by their number."""
+        car = self.cars.get(self.names[number])
+        if car is None or not car.steps:
+            return {}
+        placed = car.steps[-1].wireframe
+        return {
+            k: name.replace("_", " ")
+            for k, name in enumerate(car.keypoints)
+            if self.points[number][k] is None and placed[k] is not None
+        }
+
+    def place(self, number: int, keypoint: int) -> None:
+        """Put a keypoint that is not measured where the graph has it."""
+        point = self.cars[self.names[number]].steps[-1].wireframe[keypoint]
+        assert point is not None
+        self.points[number][keypoint] = [_within(point[0], self.size[0]), _within(point[1], self.size[1])]
+        self.chosen = (number, keypoint)
+        self.righted.add((self.names[number], keypoint))
+
     def keypoint_file(self, view: PageView, found: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
         """The vehicles as they are now, as a keypoint file has them.
 
@@ -204,11 +224,15 @@ def _righted(instance: dict[str, Any], keypoints: Collection[int]) -> dict[str, 
     for k in keypoints:
         changes["confidence"][k] = 1.0
     if instance.get("covariance") is not None and keypoints:
-        box = instance.get("box") or [0.0] * 4
-        variance = max(_HAND_SHARE * (box[3] - box[1]), _HAND_LEAST) ** 2
+        variance = hand_variance(instance.get("box") or [0.0] * 4)
         exact = [[variance, 0.0], [0.0, variance]]
         changes["covariance"] = [exact if k in keypoints else c for k, c in enumerate(instance["covariance"])]
     return instance | changes
+
+
+def hand_variance(box: Sequence[float]) -> float:
+    """Of a coordinate of a keypoint that was placed by hand in a car's box x1, y1, x2, y2; square pixels."""
+    return max(_HAND_SHARE * (box[3] - box[1]), _HAND_LEAST) ** 2
 
 
 def _within(value: float, limit: int) -> float:

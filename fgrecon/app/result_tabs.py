@@ -74,6 +74,8 @@ class ResultTabs:
                 models.visible(value=event.value)
 
             ui.switch("Closest car models", on_change=choose)
+            for line in self._view.closest:
+                ui.label(line).classes("text-caption")
         ui.label("Turn it by dragging, move it with the right button, zoom with the wheel.").classes("text-caption")
 
     def _others(self) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -178,7 +178,7 @@ def track_upload(folder: Path, name: str, out: Path, requested: PageRequested) -
             job, warnings.append, go_on=go_on, smoothing=lambda _: advance("Smoothing", 0, None), window_graph=True
         )
         write_tracks(job, run)
-    filmed = any(frame.problem is None for frame in run.frames)
+    filmed = any(head.problem is None for head in run.frames.heads)
     if filmed:
         film(out / FILM, job.source, run.frames, job.camera, advance)
         made = video_recording_of(lambda: recorded(job.source, run.frames, advance), job.camera)
@@ -188,12 +188,14 @@ def track_upload(folder: Path, name: str, out: Path, requested: PageRequested) -
 
 def followed(frames: Sequence[TrackedFrame]) -> list[FollowedCar]:
     """The cars of some frames over time, the one of the most frames first."""
-    counts: Counter[int] = Counter(identity for frame in frames for identity in frame.boxes)
-    moments: dict[int, list[Moment]] = {identity: [] for identity in counts}
+    counts: Counter[int] = Counter()
+    moments: defaultdict[int, list[Moment]] = defaultdict(list)
+    begun = frames[0].time if frames else 0.0
     for frame in frames:
+        counts.update(frame.boxes.keys())
         for identity, estimate in frame.estimates.items():
             if estimate.reconstruction.status.determined:
-                moments[identity].append(_moment(frame.time - frames[0].time, estimate))
+                moments[identity].append(_moment(frame.time - begun, estimate))
     return [FollowedCar(str(i), count, _unwrapped(moments[i])) for i, count in counts.most_common()]
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +16,18 @@ from numpy.typing import NDArray
 from fgrecon.app.requested import Requested
 from fgrecon.app.solving import SolvedUpload, Uploaded, solve
 from fgrecon.batch.results_file import document
-from fgrecon.batch.solve_tasks import Outcome
+from fgrecon.batch.solve_tasks import Outcome, with_closest
 from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
+from fgrecon.core.vehicle_mesh import ClosestModel, VehicleMesh
+from fgrecon.io.catalogue import load_prior
 from fgrecon.io.export.mesh import glb_bytes
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.export.table import csv_text
+from fgrecon.io.images import read_image
 from fgrecon.io.keypoint_file import Instance
+from fgrecon.io.models import read_models
 from fgrecon.viz import style
 from fgrecon.viz.from_above import draw_scene_from_above, ellipse_scale, extent_from_above
 from fgrecon.viz.geometry import BOX_EDGES, image_points, level_axes, outline_corners, resolution
@@ -95,6 +102,7 @@ class PageView:
         horizon: Its two ends in the image.
         warnings: What there is to warn of.
         files: What can be downloaded, by name.
+        closest: The closest car model of each, in words.
         height: Metres of the camera above the middle one of the cars' lowest points; 0 where none has a pose.
     """
 
@@ -106,23 +114,39 @@ class PageView:
     warnings: list[str]
     files: dict[str, bytes]
     height: float = 0.0
+    closest: list[str] = field(default_factory=list)
 
 
-def view_of(folder: Path, uploaded: Uploaded, requested: Requested) -> PageView:
+def view_of(folder: Path, uploaded: Uploaded, requested: Requested, models: Path | None = None) -> PageView:
     """Solve an upload and make all that the page shows of it.
+
+    Args:
+        folder: Where the files are.
+        uploaded: Their names.
+        requested: What is requested.
+        models: Car models that cars are compared with, a folder or file; or None.
 
     Raises:
         InvalidInputError: A file or a value cannot be used.
     """
-    solved = solve(folder, uploaded, requested, history=True)
+    try:
+        solved = solve(folder, uploaded, requested, history=True)
+    except InvalidInputError as error:
+        if error.field != "detect":
+            raise
+        return _without_cars(folder / uploaded.main, str(error))
     camera = solved.outcomes[0].task.camera
     width, height = resolution(camera, solved.pixels)
     text = document(Path(uploaded.main), solved.outcomes, solved.settings, solved.images, history=True)
     files = {"results.json": text.encode()}
     named = [NamedResult(one.name, one.result) for one in solved.outcomes if one.result is not None]
     posed = [item for item in named if item.solved]
+    known = {} if models is None else _closest(solved.outcomes, models, requested)
     if posed:
         files |= {"cars.csv": csv_text(named).encode(), "cars.glb": glb_bytes(posed)}
+        if known:
+            meshes = {name: one.model for name, one in known.items()}
+            files["models.glb"] = glb_bytes([item for item in posed if item.name in known], meshes)
         files["above.png"] = _above(solved, camera, (width, height))
     lens = {} if camera.distortion is None else {"distortion": camera.distortion.tolist()}
     return PageView(
@@ -133,8 +157,26 @@ def view_of(folder: Path, uploaded: Uploaded, requested: Requested) -> PageView:
         horizon=_horizon(solved, camera, width),
         warnings=solved.warnings,
         files=files,
+        closest=[f"{name}: {one}" for name, one in known.items()],
         height=float(np.median([item.result.location[1] for item in posed])) if posed else 0.0,
     )
+
+
+def _closest(outcomes: Sequence[Outcome], models: Path, requested: Requested) -> dict[str, ClosestModel]:
+    """The closest model of each car with a pose, by its name."""
+    compared = with_closest(outcomes, _models(models, requested.prior or "car14"))
+    return {outcome.name: outcome.closest for outcome in compared if outcome.closest is not None}
+
+
+@lru_cache(maxsize=1)
+def _models(path: Path, prior: str) -> list[VehicleMesh]:
+    return read_models(path, load_prior(prior).category)
+
+
+def _without_cars(photograph: Path, words: str) -> PageView:
+    """A photograph in which no car was detected: boxes can be drawn."""
+    pixels = read_image(photograph)
+    return PageView((pixels.shape[1], pixels.shape[0]), jpeg(pixels, _QUALITY), [], {}, [], [words], {})
 
 
 def picture_of(folder: Path, uploaded: Uploaded, requested: Requested) -> bytes:

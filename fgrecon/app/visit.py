@@ -65,8 +65,11 @@ def _is_about(keypoints: bytes | Path, photograph: str) -> bool:
 class Visit:
     """One visitor's upload, what is requested of it, and what is shown."""
 
-    def __init__(self, workers: Workers, limits: Limits, made: Made, requested: PageRequested) -> None:
-        """Begin with what a link requests."""
+    def __init__(
+        self, workers: Workers, limits: Limits, made: Made, requested: PageRequested, models: Path | None = None
+    ) -> None:
+        """Begin with what a link requests; car models are a folder or file."""
+        self._models = models
         self.workers, self.limits, self.requested = workers, limits, requested
         self.token, self._made = secrets.token_urlsafe(16), made
         made[self.token] = {}
@@ -112,9 +115,13 @@ class Visit:
         """Show another upload; whether there is one of that name that was not shown."""
         if name not in self.kept or name == self.chosen:
             return False
-        self.upload, self.by_hand = self.kept[name], set()
-        self.requested = replace(self.requested, box=())
+        self.begin(self.kept[name])
         return True
+
+    def begin(self, upload: Upload) -> None:
+        """Take an upload as it is."""
+        self.upload, self.by_hand, self.view = upload, set(), None
+        self.requested = replace(self.requested, box=())
 
     async def solve(self) -> None:
         """Let a worker solve what there is.
@@ -126,7 +133,7 @@ class Visit:
             return
         self._asked = asked = self._asked + 1
         with self.workers.place():
-            view = await self.workers(self.upload.files, view_of, self.upload.names, self.requested)
+            view = await self.workers(self.upload.files, view_of, self.upload.names, self.requested, self._models)
         if asked != self._asked or self.left:  # something newer was requested meanwhile
             return
         self.view, self.step = view, None

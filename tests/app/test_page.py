@@ -5,24 +5,50 @@ import re
 import shutil
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from fgrecon.io.coco_keypoints import read_coco_keypoints
 
 pytestmark = pytest.mark.browser
 
 SIZES = [(1366, 900, "light"), (1366, 900, "dark"), (390, 844, "light"), (390, 844, "dark")]
 
 
+@contextmanager
+def running(*options):
+    """The address of the page with these options."""
+    command = [sys.executable, "-m", "fgrecon", "app", "--no-show", "--port", "0", "--max-megabytes", "4", *options]
+    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as server:
+        yield re.search(r"http://\S+", server.stdout.readline())[0]
+        server.terminate()
+
+
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
     pytest.importorskip("nicegui", reason="the extra app is not installed")
-    command = [sys.executable, "-m", "fgrecon", "app", "--no-show", "--port", "0", "--max-megabytes", "4"]
-    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as running:
-        line = running.stdout.readline()
-        yield re.search(r"http://\S+", line)[0]
-        running.terminate()
+    folder = tmp_path_factory.mktemp("models")
+    corners = [(x, y, z) for x in (-2.0, 2.0) for y in (0.0, -1.5) for z in (-0.9, 0.9)]
+    faces = [
+        (1, 2, 4),
+        (1, 4, 3),
+        (5, 8, 6),
+        (5, 7, 8),
+        (1, 5, 6),
+        (1, 6, 2),
+        (3, 4, 8),
+        (3, 8, 7),
+        (1, 3, 7),
+        (1, 7, 5),
+    ]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a} {b} {c}" for a, b, c in [*faces, (2, 6, 8), (2, 8, 4)]]
+    (folder / "brick.obj").write_text("\n".join(lines))
+    with running("--models", str(folder)) as place:
+        yield place
 
 
 @pytest.fixture(scope="module")
@@ -43,23 +69,24 @@ def browser():
 @pytest.fixture
 def open_page(browser, address):
     """Opens the page, and afterwards checks that nothing came from elsewhere and nothing failed in it."""
-    hosts, problems, contexts = set(), [], []
+    hosts, places, problems, contexts = set(), set(), [], []
 
-    def start(width=1366, height=900, scheme="light", query=""):
+    def start(width=1366, height=900, scheme="light", query="", place=address):
+        places.add(place.removeprefix("http://"))
         context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(60_000)
         page.on("request", lambda request: hosts.add(request.url.split("/")[2]))
         page.on("pageerror", lambda error: problems.append(str(error)))
-        page.goto(address + query)
+        page.goto(place + query)
         return page
 
     yield start
     for context in contexts:
         context.close()
     assert problems == []
-    assert {host for host in hosts if host} <= {address.removeprefix("http://")}
+    assert {host for host in hosts if host} <= places
 
 
 def take_sample(page):
@@ -130,6 +157,8 @@ def test_steps_scene_downloads_and_code(open_page):
     page.get_by_text(f"Step {last - 1} of").wait_for()
     page.get_by_role("tab", name="3D").click()
     page.locator("canvas").last.wait_for()
+    page.get_by_text("brick, ").first.wait_for()
+    page.get_by_role("switch", name="Closest car models").click()
     page.get_by_role("tab", name="Other poses").click()
     page.get_by_text("probability").wait_for()
     page.get_by_role("tab", name="Code").click()
@@ -232,6 +261,31 @@ def test_what_was_made_is_for_its_visitor_alone_and_gone_with_him(open_page, add
             return
         other.wait_for_timeout(1000)
     pytest.fail("it is still there")
+
+
+def test_labels_of_a_folder_are_righted_and_saved(open_page, sample, tmp_path):
+    for name in ("a.png", "b.png"):
+        shutil.copy(sample / "street.png", tmp_path / name)
+    with running("--label", str(tmp_path)) as place:
+        page = open_page(query="/?camera_height=1.65&size_prior=kitti", place=place)
+        page.get_by_text("2 images, 2 looked at, 0 righted.").wait_for(timeout=120_000)
+        page.get_by_label("Image").click()
+        page.get_by_role("option").first.click()
+        wait_for_cars(page, 3)
+        point = page.locator(".fg-picture circle").first
+        u, v = float(point.get_attribute("cx")), float(point.get_attribute("cy"))
+        before = page.locator(".q-table tbody").first.inner_text()
+        drag(page, (u, v), (u + 9, v + 5))
+        page.wait_for_function("t => document.querySelector('.q-table tbody').innerText != t", arg=before)
+        page.get_by_role("button", name="Save, next").click()
+        page.get_by_text("2 images, 2 looked at, 1 righted.").wait_for()
+        page.get_by_text("Saved 3 cars in labels.json.").wait_for()
+        if folder := os.environ.get("FGRECON_SCREENSHOTS"):
+            page.screenshot(path=Path(folder) / "labels.png", full_page=True)
+    labels = read_coco_keypoints(tmp_path / "labels.json")
+    assert len(labels.vehicles) == 3
+    dragged = min(np.linalg.norm(car.keypoints - (u + 9, v + 5), axis=1).min() for car in labels.vehicles)
+    assert dragged < 2.0
 
 
 def test_ten_visitors_at_once(open_page):

@@ -10,14 +10,14 @@ from typer.testing import CliRunner
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
+from fgrecon.io.coco_keypoints import read_coco_keypoints, write_coco_keypoints
 from fgrecon.io.export import read_results
 from fgrecon.io.keypoint_file import parse_keypoints
 from fgrecon.io.track_file import parse_track
-from fgrecon_research.io.coco_keypoints import read_coco_keypoints, write_coco_keypoints
-from research.tests.io.test_coco_keypoints import make_labels
 from tests.cars import CAMERA
 from tests.conftest import REPOSITORY
 from tests.docs.pages import blocks
+from tests.io.test_coco_keypoints import make_labels
 from tests.solve.test_scene import street
 
 SCHEMAS = {path.name.partition(".")[0]: path for path in (REPOSITORY / "docs/schemas").glob("*.json")}

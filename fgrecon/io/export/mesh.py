@@ -7,7 +7,7 @@ y axis points up by definition, is turned by half a turn about x.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import distinct
-from fgrecon.core.vehicle_mesh import SIDE_COLOURS, SURFACE, Colour, edge_sides, keypoint_sides
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, SURFACE, Colour, VehicleMesh, edge_sides, keypoint_sides
 from fgrecon.io.export.results import NamedResult
 
 _TUBE, _BALL = 0.012, 0.03  # radii, metres
@@ -36,8 +36,12 @@ def ply_bytes(results: Sequence[NamedResult]) -> bytes:
     return content
 
 
-def glb_bytes(results: Sequence[NamedResult]) -> bytes:
+def glb_bytes(results: Sequence[NamedResult], models: Mapping[str, VehicleMesh] | None = None) -> bytes:
     """One GLB with the nodes `<id>/surface` and `<id>/wireframe` of every vehicle; ids that several have are numbered.
+
+    Args:
+        results: The vehicles.
+        models: A mesh that stands in for a vehicle, by its name: the node `<id>/model`; or None.
 
     Raises:
         InvalidInputError: No vehicle has a pose.
@@ -48,7 +52,7 @@ def glb_bytes(results: Sequence[NamedResult]) -> bytes:
     taken = set[str]()  # of nodes with one name only the last would be kept
     for item in _solved(results):
         vehicle = distinct(item.name, taken)
-        for part, mesh in _parts(item):
+        for part, mesh in _parts(item, (models or {}).get(item.name)):
             name = f"{vehicle}/{part}"
             scene.add_geometry(mesh, node_name=name, geom_name=name, transform=_UPRIGHT)
     content: bytes = trimesh.exchange.gltf.export_glb(scene, tree_postprocessor=_paint)
@@ -70,10 +74,13 @@ def _solved(results: Sequence[NamedResult]) -> list[NamedResult]:
     return found
 
 
-def _parts(item: NamedResult) -> Iterator[tuple[str, Any]]:
-    """The surface, where the prior has one, and the wireframe, in the camera frame."""
+def _parts(item: NamedResult, model: VehicleMesh | None = None) -> Iterator[tuple[str, Any]]:
+    """The surface, where the prior has one, and the wireframe, in the camera frame; or the model in their place."""
     import trimesh
 
+    if model is not None:
+        yield "model", _finish(trimesh.Trimesh(model.vertices, model.faces), SURFACE, item.result.camera_T_object)
+        return
     result = item.result
     if result.shape.surface_vertices is not None and result.shape.surface_faces is not None:
         surface = trimesh.Trimesh(result.shape.surface_vertices, result.shape.surface_faces, process=False)

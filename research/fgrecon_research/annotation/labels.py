@@ -14,8 +14,8 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import rotation_y
+from fgrecon.io.coco_keypoints import LabelledImage, VehicleLabel, VehicleLabels
 from fgrecon_research.annotation.annotation import Annotation
-from fgrecon_research.io.coco_keypoints import LabelledImage, VehicleLabel, VehicleLabels
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.observation import Observation
+from fgrecon.io.coco_keypoints import VehicleLabel, VehicleLabels
 from fgrecon.viz import style
 from fgrecon.viz.geometry import as_image, crop_around
 from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, unit
 from fgrecon.viz.picture import CELL_ASPECT, new_sheet
-from fgrecon_research.io.coco_keypoints import VehicleLabel, VehicleLabels
 
 _HEADING = 0.3  # inches
 

@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 from fgrecon.cli import terminal
 from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.coco_keypoints import read_coco_keypoints
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints import detect
-from fgrecon_research.io.coco_keypoints import read_coco_keypoints
 from research.tests.annotation.streets import Car, Told, write_drive
 
 NEAR = Car((-2.0, 1.6, 9.0), 0.5)

@@ -7,7 +7,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.viz.picture import as_rgb
 from fgrecon.viz.style import SIDE_COLOURS, Side
 from fgrecon_research.viz.label_sheet import label_sheet
-from research.tests.io.test_coco_keypoints import make_labels
+from tests.io.test_coco_keypoints import make_labels
 
 IMAGE = np.full((375, 1242, 3), 128, dtype=np.uint8)
 

@@ -127,12 +127,12 @@ def label_command(
     Exit code 0: labels were written; 1: no vehicle could be labelled; 2: bad usage or input.
     """
     from fgrecon.io.catalogue import load_prior
+    from fgrecon.io.coco_keypoints import write_coco_keypoints
     from fgrecon.io.datasets import open_drive
     from fgrecon.io.files import check_ending
     from fgrecon.io.kitti_drives import read_drive
     from fgrecon.perception.keypoints.detect import KeypointCascade
     from fgrecon_research.cli.training import label_report as report
-    from fgrecon_research.io.coco_keypoints import write_coco_keypoints
 
     check_outputs(json_out, out, picture=picture)
     check_ending(out, ["json"])

@@ -21,6 +21,7 @@ from fgrecon.cli.terminal import Screen
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.catalogue import load_prior
+from fgrecon.io.coco_keypoints import VehicleLabel, VehicleLabels, write_coco_keypoints
 from fgrecon.io.datasets import open_drive
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import Drive
@@ -29,7 +30,6 @@ from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.annotation import Annotation
 from fgrecon_research.annotation.labels import vehicle_labels
 from fgrecon_research.annotation.unboxed import Unboxed
-from fgrecon_research.io.coco_keypoints import VehicleLabel, VehicleLabels, write_coco_keypoints
 from fgrecon_research.training.keypoints.posed_cars import Progress
 
 _LEARNT = "Car", "Van", "Truck"  # of the last the direction and the kind

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.coco_keypoints import read_coco_keypoints
 from fgrecon.io.files import write_bytes, write_text
 from fgrecon.io.json_fields import read_json
 from fgrecon.perception.keypoints.network_file import WITHOUT_STREET
-from fgrecon_research.io.coco_keypoints import read_coco_keypoints
 from fgrecon_research.training.keypoints.began import different, file_hash, files_hash, text_hash
 from fgrecon_research.training.keypoints.networks import Beginning, Display, photographs_hash, train_networks
 from fgrecon_research.training.keypoints.posed_cars import Progress

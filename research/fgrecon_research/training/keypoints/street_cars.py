@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.arrays import read_arrays
+from fgrecon.io.coco_keypoints import read_coco_keypoints
 from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
 from fgrecon.io.integrity import MADE_AGAIN
 from fgrecon.perception.keypoints.crops import Crop, extract
 from fgrecon.perception.keypoints.layout import KINDS
-from fgrecon_research.io.coco_keypoints import read_coco_keypoints
 from fgrecon_research.training.keypoints.dataset import SIDE, Photographs
 from fgrecon_research.training.keypoints.deform import UNKNOWN_KIND, LabelledView
 from fgrecon_research.training.keypoints.posed_cars import Progress, no_progress

@@ -8,11 +8,11 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
+from fgrecon.io.coco_keypoints import write_coco_keypoints
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.perception.keypoints.layout import KINDS
 from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.labels import silhouette, vehicle_labels
-from fgrecon_research.io.coco_keypoints import write_coco_keypoints
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.dataset import SIDE
 from fgrecon_research.training.keypoints.street_cars import StreetCars, StreetShare, prepare_street_cars

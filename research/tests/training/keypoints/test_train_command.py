@@ -10,12 +10,12 @@ from typer.testing import CliRunner
 from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
+from fgrecon.io.coco_keypoints import write_coco_keypoints
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.network_file import Stored, save_weights
 from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.labels import vehicle_labels
-from fgrecon_research.io.coco_keypoints import write_coco_keypoints
 from fgrecon_research.training.keypoints.tensors import load_tensors
 from research.tests.annotation.streets import Car, Told, write_drive
 from research.tests.training.keypoints.support import make_small

@@ -9,14 +9,14 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
-from fgrecon_research.io.annotations.coco import read_coco
-from fgrecon_research.io.coco_keypoints import (
+from fgrecon.io.coco_keypoints import (
     LabelledImage,
     VehicleLabel,
     VehicleLabels,
     read_coco_keypoints,
     write_coco_keypoints,
 )
+from fgrecon_research.io.annotations.coco import read_coco
 
 CATEGORY = load_category("car14")
 
