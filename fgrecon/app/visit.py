@@ -40,9 +40,9 @@ class Upload:
         elif kind is Kind.BOXES:
             names = replace(Uploaded(self.photograph or "", camera=before.camera), boxes=name)
         elif kind is Kind.KEYPOINTS:
-            drawn_on = self.photograph if self.photograph and _is_about(content, self.photograph) else None
+            drawn_on = self.photograph if self.photograph and _may_be_of(content, self.photograph) else None
             names = Uploaded(name, camera=before.camera, photograph=drawn_on)
-        elif before.main and not before.of_image and _is_about(self.files[before.main], name):
+        elif before.main and not before.of_image and name.encode() in _text(self.files[before.main]):
             names = replace(before, photograph=name)
         else:
             names = Uploaded(name, camera=before.camera, boxes=None if before.main else before.boxes)
@@ -56,9 +56,13 @@ class Upload:
         return self.names.main if self.names.of_image else self.names.photograph
 
 
-def _is_about(keypoints: bytes | Path, photograph: str) -> bool:
+def _text(file: bytes | Path) -> bytes:
+    return file if isinstance(file, bytes) else file.read_bytes()
+
+
+def _may_be_of(keypoints: bytes | Path, photograph: str) -> bool:
     """Whether keypoints name this photograph, or none."""
-    text = keypoints if isinstance(keypoints, bytes) else keypoints.read_bytes()
+    text = _text(keypoints)
     return photograph.encode() in text or not (b'"image"' in text or b'"file_name"' in text)
 
 
