@@ -1,5 +1,6 @@
 """`fgrecon app` in headless Chromium; skips where nicegui, playwright or Chromium is not installed."""
 
+import io
 import os
 import re
 import shutil
@@ -10,11 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fgrecon.io.coco_keypoints import read_coco_keypoints
+from tests.pictures import COLOURS, MEAN, check_like, differences
 
 pytestmark = pytest.mark.browser
 
+REFERENCES = Path(__file__).parent / "references"
 SIZES = [(1366, 900, "light"), (1366, 900, "dark"), (390, 844, "light"), (390, 844, "dark")]
 
 
@@ -117,8 +121,11 @@ def test_the_sample_at_each_size(open_page, width, height, scheme):
     take_sample(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     assert page.evaluate("document.body.classList.contains('body--dark')") == (scheme == "dark")
+    page.locator("img[src*='above']").wait_for()
+    page.mouse.move(5, 5)
+    page.wait_for_timeout(1500)
+    check_like(REFERENCES / f"{width}-{scheme}.png", seen(page))
     if folder := os.environ.get("FGRECON_SCREENSHOTS"):
-        page.wait_for_timeout(1000)
         page.screenshot(path=Path(folder) / f"{width}-{scheme}.png", full_page=True)
 
 
@@ -169,6 +176,29 @@ def test_steps_scene_downloads_and_code(open_page):
         with page.expect_download() as download:
             page.get_by_role("button", name=label).click()
         assert Path(download.value.path()).read_bytes().startswith(beginning)
+
+
+def seen(part):
+    """(H, W, 3) what is shown of a page or an element."""
+    image = Image.open(io.BytesIO(part.screenshot())).convert("RGB")
+    return np.asarray(image.quantize(COLOURS).convert("RGB"))
+
+
+def test_the_scene_turns_under_the_mouse(open_page):
+    page = open_page()
+    take_sample(page)
+    page.get_by_role("tab", name="3D").click()
+    canvas = page.locator("canvas").last
+    canvas.wait_for()
+    page.wait_for_timeout(3000)
+    before, box = seen(canvas), canvas.bounding_box()
+    u, v = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(u, v)
+    page.mouse.down()
+    page.mouse.move(u + 250, v + 20, steps=8)
+    page.mouse.up()
+    page.wait_for_timeout(1500)
+    assert differences(seen(canvas), before)[1] > MEAN  # one that stands still has none
 
 
 def upload(page, name, content):

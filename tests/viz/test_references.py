@@ -6,7 +6,6 @@ FGRECON_REFERENCES=1 in the environment the references are written anew; look at
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,13 +15,11 @@ from PIL import Image
 
 from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.viz import SolvedVehicle, as_rgb, contact_sheet, picture, scene_picture
+from tests.pictures import COLOURS, MEAN, WORST, check_like, differences
 from tests.viz.made_up import Example
 from tests.viz.scenes import GROUND, result_of, shown_of, street
 
 FOLDER = Path(__file__).parent / "references"
-SMALLER, COLOURS = 4, 64
-MEAN, WORST = 4.0, 18.0
-"""Grey levels of 255: mean over the picture, and over the worst of a hundred parts."""
 
 
 def scene(example: Example):
@@ -78,19 +75,6 @@ def pixels(figure, dpi) -> np.ndarray:
     return np.asarray(Image.fromarray(as_rgb(figure, dpi)).quantize(COLOURS).convert("RGB"))
 
 
-def smaller(image: np.ndarray) -> np.ndarray:
-    height, width = (side // SMALLER * SMALLER for side in image.shape[:2])
-    blocks = image[:height, :width].astype(np.float64)
-    return blocks.reshape(height // SMALLER, SMALLER, width // SMALLER, SMALLER, 3).mean(axis=(1, 3))
-
-
-def differences(image: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
-    """Mean difference, and that of the worst of a hundred parts."""
-    apart = np.abs(smaller(image) - smaller(reference)).mean(axis=2)
-    parts = [block.mean() for row in np.array_split(apart, 10) for block in np.array_split(row, 10, axis=1)]
-    return float(apart.mean()), float(max(parts))
-
-
 @pytest.fixture(scope="module", params=DRAWN)
 def drawn(request, example):
     """Name and pixels of a picture."""
@@ -100,14 +84,7 @@ def drawn(request, example):
 
 def test_it_looks_as_it_did(drawn):
     name, image = drawn
-    path = FOLDER / f"{name}.png"
-    if os.environ.get("FGRECON_REFERENCES"):
-        Image.fromarray(image).quantize(COLOURS).save(path, optimize=True)
-    reference = np.asarray(Image.open(path).convert("RGB"))
-    assert image.shape == reference.shape
-    mean, worst = differences(image, reference)
-    assert mean < MEAN
-    assert worst < WORST
+    check_like(FOLDER / f"{name}.png", image)
 
 
 def test_a_lost_panel_is_seen(drawn, example):
