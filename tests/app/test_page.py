@@ -63,7 +63,13 @@ def browser():
     )
     if chromium is None:
         pytest.skip("Chromium is not installed (Debian's package chromium)")
-    arguments = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    arguments = [
+        "--use-fake-device-for-media-stream",
+        "--use-fake-ui-for-media-stream",
+        "--no-sandbox",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+    ]
     with playwright.sync_playwright() as driver:
         opened = driver.chromium.launch(executable_path=chromium, args=arguments)
         yield opened
@@ -262,12 +268,39 @@ def test_a_video_that_is_none_is_refused_in_words(open_page):
 def test_by_keyboard_alone(open_page):
     page = open_page()
     page.get_by_role("button", name="Sample", exact=True).wait_for()
-    for _ in range(10):
-        page.keyboard.press("Tab")
-        if "Sample" in page.evaluate("document.activeElement.innerText || ''").title():
-            break
+    go_by_tab(page, "e => (e.innerText || '').trim().toLowerCase().endsWith('sample')")
     page.keyboard.press("Enter")
     page.get_by_text("converged").first.wait_for()
+    wait_for_cars(page, 3)
+    go_by_tab(page, "e => (e.innerText || '').trim().toLowerCase() == 'boxes'")
+    page.keyboard.press("Enter")
+    page.locator(".fg-edit").wait_for()
+    go_by_tab(page, "e => e.classList.contains('fg-picture')")
+    page.keyboard.press("n")
+    page.keyboard.press("Delete")
+    wait_for_cars(page, 2)
+    go_by_tab(page, "e => e.getAttribute('role') == 'tab'")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")
+    page.locator("canvas").last.wait_for()
+
+
+def test_a_photograph_of_the_webcam_without_a_car(open_page):
+    page = open_page()
+    page.get_by_role("button", name="Webcam").click()
+    page.wait_for_function("(document.querySelector('video') || {}).videoWidth > 0")
+    page.get_by_role("button", name="Take").click()
+    page.get_by_text("No car was found").wait_for()
+    page.locator(".fg-picture img[src*='photograph']").wait_for()
+
+
+def go_by_tab(page, fits):
+    """Press Tab until the element that has the focus fits."""
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        if page.evaluate(f"({fits})(document.activeElement)"):
+            return
+    pytest.fail(f"Tab does not reach {fits}")
 
 
 def test_a_link_brings_its_settings_and_bad_ones_are_refused_in_words(open_page):
