@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fgrecon.app.labelling import Judged, judge
+from fgrecon.app.labelling import Judgement, judge
 from fgrecon.app.requested import Requested
 from fgrecon.app.solving import Uploaded
 from fgrecon.app.visit import Upload
@@ -57,12 +57,12 @@ class LabelFolder:
                 fix = f"Give labels of {category.name}."
                 raise InvalidInputError(f"{folder / LABELS}: category", self._all.category, fix)
         self.righted = set(json.loads(self._all.info.get(_RIGHTED, "[]")))
-        self.judged: dict[str, Judged] = {}
+        self.judged: dict[str, Judgement] = {}
 
     @property
     def order(self) -> list[str]:
         """The images: what the graph disagrees with most first, those that were righted last."""
-        unknown = Judged(-1.0, "")
+        unknown = Judgement(-1.0, "")
         return sorted(self.images, key=lambda n: (n in self.righted, -self.judged.get(n, unknown).disagreement, n))
 
     def labels(self, name: str) -> list[VehicleLabel]:
@@ -90,7 +90,7 @@ class LabelFolder:
             except BusyError:
                 continue
             except FgreconError as error:
-                self.judged[name] = Judged(float("inf"), str(error))
+                self.judged[name] = Judgement(float("inf"), str(error))
 
     def save(self, name: str, labels: Sequence[VehicleLabel]) -> Path:
         """Put the labels of an image in the place of those it had, and write the file.

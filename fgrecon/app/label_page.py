@@ -6,7 +6,7 @@ from nicegui import background_tasks, events, ui
 
 from fgrecon.app.label_folder import LabelFolder
 from fgrecon.app.labelling import labels_of
-from fgrecon.app.page import Page
+from fgrecon.app.page import MainPage
 from fgrecon.app.picture_editor import KEYPOINTS
 from fgrecon.app.visit import Visit
 from fgrecon.app.workers import Workers
@@ -17,7 +17,7 @@ from fgrecon.io.coco_keypoints import VehicleLabel
 _REFRESH = 1.0  # seconds
 
 
-class LabelPage(Page):
+class LabelPage(MainPage):
     """The page of `fgrecon.app.page` with the images of a folder in the place of uploads."""
 
     def __init__(

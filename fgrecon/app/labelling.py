@@ -26,7 +26,7 @@ _STATED = 0.1  # weight below which a keypoint is named
 
 
 @dataclass(frozen=True)
-class Judged:
+class Judgement:
     """What the graph says of the keypoints of an image.
 
     Attributes:
@@ -38,7 +38,7 @@ class Judged:
     words: str
 
 
-def judge(folder: Path, uploaded: Uploaded, requested: Requested) -> Judged:
+def judge(folder: Path, uploaded: Uploaded, requested: Requested) -> Judgement:
     """What the graph disagrees with in a photograph, of given keypoints or of those that the networks detect.
 
     Raises:
@@ -48,20 +48,20 @@ def judge(folder: Path, uploaded: Uploaded, requested: Requested) -> Judged:
         outcomes = solve(folder, uploaded, requested, history=False).outcomes
     except InvalidInputError as error:
         if error.field == "detect":
-            return Judged(0.0, "no car detected")
+            return Judgement(0.0, "no car detected")
         raise
     return max((judged(outcome) for outcome in outcomes), key=lambda one: one.disagreement)
 
 
-def judged(outcome: Outcome) -> Judged:
+def judged(outcome: Outcome) -> Judgement:
     """What the graph disagrees with in a car."""
     result, trust = outcome.result, _trust(outcome)
     if result is None or not result.status.determined:
-        return Judged(float(np.count_nonzero(trust)), f"{outcome.name}: no pose")
+        return Judgement(float(np.count_nonzero(trust)), f"{outcome.name}: no pose")
     weights = np.nan_to_num(result.diagnostics.weights)
     names = np.array(result.shape.keypoint_names)[(trust > 0) & (weights < _STATED)]
     words = ", ".join(name.replace("_", " ") for name in names)
-    return Judged(float((trust * (1.0 - weights)).sum()), f"{outcome.name}: {words or 'all fits'}")
+    return Judgement(float((trust * (1.0 - weights)).sum()), f"{outcome.name}: {words or 'all fits'}")
 
 
 def labels_of(folder: Path, uploaded: Uploaded, requested: Requested) -> tuple[list[VehicleLabel], list[str]]:

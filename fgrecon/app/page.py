@@ -60,7 +60,7 @@ function fgTake(video) {const c = document.createElement('canvas');
 </script>"""
 
 
-class Page:
+class MainPage:
     """The elements of the page, and what happens when they are used."""
 
     def __init__(self, visit: Visit, video_workers: Workers, sample: bytes, problem: str | None) -> None:

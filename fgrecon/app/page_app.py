@@ -16,7 +16,7 @@ from fgrecon.app.guard import Guard
 from fgrecon.app.label_folder import LabelFolder
 from fgrecon.app.label_page import LabelPage
 from fgrecon.app.limits import Limits
-from fgrecon.app.page import Page
+from fgrecon.app.page import MainPage
 from fgrecon.app.requested import PageRequested
 from fgrecon.app.sample import make_page_ready, sample_photograph
 from fgrecon.app.visit import Made, Visit
@@ -80,7 +80,7 @@ def page_app(
         visit = Visit(workers[0], limits, made, requested, models)
         ui.context.client.on_delete(visit.leave)
         if labels is None:
-            Page(visit, workers[1], sample[0], problem)
+            MainPage(visit, workers[1], sample[0], problem)
         else:
             LabelPage(visit, labels, workers[1], sample[0], problem)
 

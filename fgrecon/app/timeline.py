@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fgrecon.app.videos import Band, FollowedCar, Moment
+from fgrecon.app.videos import Band, CarMoment, FollowedCar
 
 _SIZES = ("length", "width", "height")
 _ROWS = (("heading °", ("heading",)), ("speed km/h", ("speed",)), (f"size m: {', '.join(_SIZES)}", _SIZES))
@@ -46,7 +46,7 @@ def chart_of(car: FollowedCar) -> dict[str, Any]:
     }
 
 
-def in_words(car: FollowedCar, moment: Moment) -> str:
+def in_words(car: FollowedCar, moment: CarMoment) -> str:
     """A car at a moment, in a sentence."""
     told = {name: _told(*band) for name, band in moment.bands.items()}
     size = " x ".join(told[name] for name in _SIZES)

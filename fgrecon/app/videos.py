@@ -66,7 +66,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Moment:
+class CarMoment:
     """A car in a frame.
 
     Attributes:
@@ -86,7 +86,7 @@ class FollowedCar:
 
     name: str
     frames: int
-    moments: list[Moment]
+    moments: list[CarMoment]
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def track_upload(folder: Path, name: str, out: Path, requested: PageRequested) -
 def followed(frames: Sequence[TrackedFrame]) -> list[FollowedCar]:
     """The cars of some frames over time, the one of the most frames first."""
     counts: Counter[int] = Counter()
-    moments: defaultdict[int, list[Moment]] = defaultdict(list)
+    moments: defaultdict[int, list[CarMoment]] = defaultdict(list)
     begun = frames[0].time if frames else 0.0
     for frame in frames:
         counts.update(frame.boxes.keys())
@@ -199,7 +199,7 @@ def followed(frames: Sequence[TrackedFrame]) -> list[FollowedCar]:
     return [FollowedCar(str(i), count, _unwrapped(moments[i])) for i, count in counts.most_common()]
 
 
-def _moment(seconds: float, estimate: VehicleEstimate) -> Moment:
+def _moment(seconds: float, estimate: VehicleEstimate) -> CarMoment:
     values = {"heading" if name == "yaw" else name: band for name, band in values_of(estimate).items()}
     scale = {"speed": _KMH}
     bands: dict[str, Band] = {name: _band(values.get(name, ()), scale.get(name, 1.0)) for name in BANDS}
@@ -211,7 +211,7 @@ def _moment(seconds: float, estimate: VehicleEstimate) -> Moment:
     ]
     if not others and np.isfinite(estimate.facing_probability):
         others = [(_degrees(result.rotation_y + np.pi), 1.0 - estimate.facing_probability)]
-    return Moment(round(seconds, 3), bands, [(heading, round(float(share), 3)) for heading, share in others])
+    return CarMoment(round(seconds, 3), bands, [(heading, round(float(share), 3)) for heading, share in others])
 
 
 def _band(numbers: Sequence[float], scale: float) -> Band:
@@ -223,7 +223,7 @@ def _degrees(angle: float) -> float:
     return round(float(np.degrees(wrap_angle(angle))), 1)
 
 
-def _unwrapped(moments: list[Moment]) -> list[Moment]:
+def _unwrapped(moments: list[CarMoment]) -> list[CarMoment]:
     """Headings without jumps by whole turns, so that a line can be drawn through them."""
     before = 0.0
     for moment in moments:

@@ -9,7 +9,7 @@ import pytest
 
 from fgrecon.app.drawn_boxes import instances_in_boxes
 from fgrecon.app.label_folder import LABELS, LabelFolder
-from fgrecon.app.labelling import Judged, judge, labels_of
+from fgrecon.app.labelling import Judgement, judge, labels_of
 from fgrecon.app.picture_editor import KEYPOINTS, Editor
 from fgrecon.app.requested import Requested
 from fgrecon.app.solving import Uploaded
@@ -125,7 +125,7 @@ def test_images_are_looked_at_and_those_that_are_none_come_first(folder):
 
     asyncio.run(labelled.judge_all(Here(), KITTI))
     assert labelled.order[0] == "bad.png"
-    assert labelled.judged["grey.png"] == Judged(0.0, "no car detected")
+    assert labelled.judged["grey.png"] == Judgement(0.0, "no car detected")
     assert str(folder) not in labelled.judged["bad.png"].words
 
 

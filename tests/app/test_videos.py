@@ -8,7 +8,7 @@ import pytest
 from fgrecon.app.requested import PageRequested
 from fgrecon.app.sample import GIVEN, sample_video
 from fgrecon.app.timeline import chart_of, in_words
-from fgrecon.app.videos import FILM, FRAMES, RECORDING, TABLE_FILE, Moment, followed, progress_of, stop, track_upload
+from fgrecon.app.videos import FILM, FRAMES, RECORDING, TABLE_FILE, CarMoment, followed, progress_of, stop, track_upload
 from fgrecon.app.written import as_video_command
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.vehicle_estimate import VehicleEstimate
@@ -67,7 +67,7 @@ def test_the_timeline_has_values_and_bands_of_a_car(results):
 
 def test_a_moment_of_which_little_is_known_is_told(results):
     (car,) = results[1].cars
-    bare = Moment(0.0, {name: [None] * 3 for name in car.moments[0].bands}, [])
+    bare = CarMoment(0.0, {name: [None] * 3 for name in car.moments[0].bands}, [])
     assert "heading unknown°" in in_words(car, bare)
     assert "Other poses: none." in in_words(car, bare)
 
