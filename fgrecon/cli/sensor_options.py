@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fgrecon.core.choices import DepthScale
+
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.io.bag_drive import LidarTopic
     from fgrecon.io.cameras.camera_source import CameraSource
@@ -41,6 +43,31 @@ class SensorOptions:
         ),
     ] = None
 
+    depth: Annotated[
+        str | None,
+        typer.Option(
+            metavar=_FILES,
+            help="Depth maps as large as the images: KITTI's png of 16 bits, npy, npz, tiff, exr, pfm.",
+            rich_help_panel=_SENSORS,
+        ),
+    ] = None
+    depth_scale: Annotated[
+        DepthScale,
+        typer.Option(help="What a depth network's numbers are: metres, or to be scaled.", rich_help_panel=_SENSORS),
+    ] = DepthScale.METRIC
+    depth_inverse: Annotated[
+        bool,
+        typer.Option("--depth-inverse", help="They are inverse depths, as disparities.", rich_help_panel=_SENSORS),
+    ] = False
+    right: Annotated[
+        str | None,
+        typer.Option(
+            metavar=_FILES,
+            help="Right images of rectified pairs; KITTI's calibration has both cameras.",
+            rich_help_panel=_SENSORS,
+        ),
+    ] = None
+
     def source(self, camera: CameraSource) -> SensorSource | None:
         """The files as the library takes them; None where none are given.
 
@@ -49,7 +76,8 @@ class SensorOptions:
         """
         from fgrecon.perception.sensor_source import SensorSource
 
-        made = SensorSource(self.lidar, self.lidar_pose, camera)
+        depth = self.depth, self.depth_scale, self.depth_inverse
+        made = SensorSource(self.lidar, self.lidar_pose, camera, *depth, self.right)
         return made if made.given else None
 
     def of_video(self, video: str, camera: CameraSource) -> SensorSource | LidarTopic | None:

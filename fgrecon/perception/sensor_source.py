@@ -9,15 +9,24 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.choices import DepthScale
+from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Evidence, Points
+from fgrecon.core.stereo_pair import StereoPair
 from fgrecon.io.cameras.camera_source import CameraSource
-from fgrecon.io.kitti_calibration import KittiCalibration
+from fgrecon.io.images import read_image
+from fgrecon.io.kitti_calibration import KittiCalibration, calibration_beside, read_calibration
 from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes, sweep_of
 from fgrecon.io.sensors.clouds import CLOUDS
+from fgrecon.io.sensors.depth_files import DEPTHS, read_depth
 from fgrecon.io.sensors.lidar_place import Place, lidar_place
 from fgrecon.io.sensors.points import read_points
 from fgrecon.io.sensors.sensor_files import SensorFiles
+from fgrecon.perception.stereo import stereo_depth
+
+IMAGES = (".png", ".jpg", ".jpeg")
+"""Endings of right images."""
 
 
 @dataclass(frozen=True)
@@ -28,11 +37,19 @@ class SensorSource:
         lidar: Points: a file, a folder with one for each image, of its name, or a pattern.
         lidar_pose: File with the motion from the LiDAR's frame to the camera's.
         camera: What is given of the camera.
+        depth: Depth maps, in the same way.
+        depth_scale: Whether their numbers are metres.
+        depth_inverse: Whether they are inverse depths.
+        right: Right images of rectified pairs, in the same way; KITTI's calibration has both cameras.
     """
 
     lidar: str | None = None
     lidar_pose: Path | None = None
     camera: CameraSource = field(default_factory=CameraSource)
+    depth: str | None = None
+    depth_scale: DepthScale = DepthScale.METRIC
+    depth_inverse: bool = False
+    right: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse a pose of nothing, and what has no files.
@@ -42,22 +59,39 @@ class SensorSource:
         """
         if self.lidar is None and self.lidar_pose is not None:
             raise InvalidInputError("lidar_pose", str(self.lidar_pose), "Give the LiDAR's points as well (--lidar).")
-        if self._clouds is not None:
-            self._clouds.all()
+        if self.depth is None and (self.depth_inverse or self.depth_scale is not DepthScale.METRIC):
+            raise InvalidInputError("depth_scale", self.depth_scale.value, "Give the depth maps as well (--depth).")
+        for files in self._files:
+            files.all()
 
     @property
     def given(self) -> bool:
         """Whether there is anything."""
-        return self.lidar is not None
+        return any(one is not None for one in (self.lidar, self.depth, self.right))
 
     def to_dict(self) -> dict[str, str]:
         """What is given, for the settings of a run: a file or a folder by its absolute path."""
-        named = {"lidar": self.lidar, "lidar_pose": self.lidar_pose}
-        return {name: str(Path(one).absolute()) for name, one in named.items() if one is not None}
+        named = {"lidar": self.lidar, "lidar_pose": self.lidar_pose, "depth": self.depth, "right": self.right}
+        found = {name: str(Path(one).absolute()) for name, one in named.items() if one is not None}
+        if self.depth is not None:
+            found |= {"depth_scale": self.depth_scale.value, "depth_inverse": str(self.depth_inverse).lower()}
+        return found
 
     @property
     def _clouds(self) -> SensorFiles | None:
         return None if self.lidar is None else SensorFiles("lidar", self.lidar, CLOUDS)
+
+    @property
+    def _depths(self) -> SensorFiles | None:
+        return None if self.depth is None else SensorFiles("depth", self.depth, DEPTHS)
+
+    @property
+    def _rights(self) -> SensorFiles | None:
+        return None if self.right is None else SensorFiles("right", self.right, IMAGES)
+
+    @property
+    def _files(self) -> list[SensorFiles]:
+        return [files for files in (self._clouds, self._depths, self._rights) if files is not None]
 
     def check(self, images: Iterable[str]) -> None:
         """Refuse files of which none is of one of the images.
@@ -69,10 +103,10 @@ class SensorSource:
             InvalidInputError: There is none.
         """
         names = list(images)
-        files = self._clouds
-        if files is not None and not any(self._file(files, Path(name)) for name in names):
-            named = names[0] if names else "none"
-            raise InvalidInputError(files.field, files.given, f"Name its files as the images, such as {named}.")
+        for files in self._files:
+            if not any(self._file(files, Path(name)) for name in names):
+                named = names[0] if names else "none"
+                raise InvalidInputError(files.field, files.given, f"Name its files as the images, such as {named}.")
 
     def evidence(self, path: Path) -> tuple[Evidence, ...]:
         """What the files say of an image; nothing where there is none of it.
@@ -83,12 +117,42 @@ class SensorSource:
         Raises:
             InvalidInputError: A file cannot be used, or nothing says where its sensor is.
         """
-        clouds = self._clouds
-        cloud = None if clouds is None else self._file(clouds, path)
-        if cloud is None:
-            return ()
-        place = lidar_place(cloud, path, self.camera, self.lidar_pose)
-        return (Points(read_points(cloud, place), origin=_origin(place)),)
+        cloud, depth, right = (
+            None if files is None else self._file(files, path) for files in (self._clouds, self._depths, self._rights)
+        )
+        found: list[Evidence] = []
+        if cloud is not None:
+            place = lidar_place(cloud, path, self.camera, self.lidar_pose)
+            found.append(Points(read_points(cloud, place), origin=_origin(place)))
+        if depth is not None:
+            per_metre = None if self.depth_scale is DepthScale.METRIC and not self.depth_inverse else 1.0
+            numbers = read_depth(depth, per_metre)
+            found.append(DepthMap(numbers, scale=self.depth_scale, inverse=self.depth_inverse))
+        if right is not None:
+            found.append(self._of_pair(path, right))
+        return tuple(found)
+
+    def _of_pair(self, path: Path, right: Path) -> DepthMap:
+        """The depth of an image that is the left one of a rectified pair.
+
+        Raises:
+            InvalidInputError: It is no file, or no calibration of KITTI's has both cameras.
+        """
+        given = self.camera.calib
+        if given is not None:
+            file = given / f"{path.stem}.txt" if given.is_dir() else given
+            first: KittiCalibration | None = read_calibration(file)
+            second: KittiCalibration | None = read_calibration(file, "P3")
+        else:
+            first, second = calibration_beside(path), calibration_beside(right)
+        if first is None or second is None or not path.is_file():
+            fix = "Give images as files, and KITTI's calibration, which has P2 and P3 (--calib)."
+            raise InvalidInputError("right", f"{right.name} for {path.name}", fix)
+        motion = np.eye(4)
+        motion[:3, 3] = second.label_offset - first.label_offset
+        left = read_image(path)
+        pair = StereoPair(read_image(right), second.camera, motion)
+        return stereo_depth(left, first.camera.with_size_of(left), pair)
 
     def _file(self, files: SensorFiles, image: Path) -> Path | None:
         found = files.of(image.name)

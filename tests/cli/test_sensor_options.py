@@ -1,4 +1,4 @@
-"""`--lidar` of the commands: vehicles come nearer to where they are, and what cannot be used is refused."""
+"""`--lidar` and `--depth`: vehicles come nearer to where they are, and what cannot be used is refused."""
 
 import json
 
@@ -40,6 +40,31 @@ def test_points_take_most_of_the_error_off(sample, tmp_path):
         pairs = zip(places, truth, strict=True)
         errors[name] = [np.linalg.norm(place - car.truth.camera_T_object[:3, 3]) for place, car in pairs]
     assert max(errors["lidar"]) < 0.2 < np.mean(errors["alone"])
+
+
+def test_depth_maps_do_so_too_in_metres_or_not(sample, tmp_path):
+    from fgrecon.io.images import read_image
+    from fgrecon.io.kitti_calibration import read_calibration
+
+    points = np.load(sample / "street.npz")["points"]
+    camera = read_calibration(sample / "calib.txt").camera
+    height, width = read_image(sample / "street.png").shape[:2]
+    depth = np.full((height, width), np.nan)
+    points = points[points[:, 2] > 1.0]
+    column, row = np.rint(camera.project(points)).astype(int).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    depth[row[inside], column[inside]] = points[inside, 2]
+    np.save(tmp_path / "metres.npy", depth)
+    np.save(tmp_path / "scaled.npy", 0.5 * depth)
+    given = "reconstruct", sample / "cars.json", "--image", sample / "street.png", "--json"
+    for name, more in (("metres", ()), ("scaled", ("--depth-scale", "scale", "--camera-height", "1.65"))):
+        done = run(*given, tmp_path / f"{name}.json", "--depth", tmp_path / f"{name}.npy", *more)
+        assert done.exit_code == 0, done.output
+        for one in json.loads((tmp_path / f"{name}.json").read_text())["instances"]:
+            assert one["result"]["evidence"]["depth"] > 1.0
+    done = run("reconstruct", sample / "cars.json", "--depth-inverse")
+    assert isinstance(done.exception, InvalidInputError)
+    assert "--depth" in str(done.exception)
 
 
 def test_boxes_of_others_are_refined_by_points(sample, tmp_path):

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from fgrecon.core.camera import Camera
+from fgrecon.core.choices import DepthScale
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.cameras.camera_source import CameraSource
+from fgrecon.io.images import write_png
 from fgrecon.perception.sensor_source import SensorSource
 
 POINTS = np.array([[20.0, 3.0, -1.0], [15.0, -2.0, 0.5]])  # of a LiDAR: ahead, left, up
@@ -40,6 +42,8 @@ def test_a_scan_is_placed_and_knows_where_its_sensor_is(folder: Path) -> None:
     [
         ({"lidar_pose": Path("pose.txt")}, "--lidar"),
         ({"lidar": "nowhere"}, "end in"),
+        ({"depth": "nowhere"}, "end in"),
+        ({"depth_scale": DepthScale.SCALE}, "--depth"),
     ],
 )
 def test_what_does_not_fit_is_refused(folder: Path, monkeypatch, given: dict, message: str) -> None:
@@ -61,3 +65,19 @@ def test_points_of_another_frame_are_refused_with_the_cause(folder: Path) -> Non
     evidence = SensorSource(lidar=str(folder / "000009.npy")).evidence(Path("000009.png"))
     with pytest.raises(InvalidInputError, match="LiDAR's frame"):
         fgrecon.reconstruct(np.full((14, 2), np.nan), camera, box=[500, 150, 700, 250], evidence=evidence)
+
+
+def test_a_right_image_makes_a_depth_map(tmp_path: Path) -> None:
+    texture = np.random.default_rng(0).integers(0, 255, (120, 320, 3), dtype=np.uint8)
+    for name, image in (("image_02", texture), ("image_03", np.roll(texture, -15, axis=1))):
+        (tmp_path / name).mkdir()
+        write_png(tmp_path / name / "000000.png", image)
+    (tmp_path / "calib.txt").write_text("P2: 300 0 160 0 0 300 60 0 0 0 1 0\nP3: 300 0 160 -150 0 300 60 0 0 0 1 0\n")
+    for source in (
+        SensorSource(right=str(tmp_path / "image_03")),
+        SensorSource(right=str(tmp_path / "image_03"), camera=CameraSource(calib=tmp_path / "calib.txt")),
+    ):
+        (depth,) = source.evidence(tmp_path / "image_02" / "000000.png")
+        assert np.nanmedian(depth.depth) == pytest.approx(10.0, abs=0.1)  # 300 px * 0.5 m / 15 px
+        with pytest.raises(InvalidInputError, match="right"):
+            source.evidence(Path("000000.png"))

@@ -6,7 +6,6 @@
 | `lidar/000012.npz` | `points_cm` in the rectified reference camera's frame |
 | `velodyne/000012.bin`, `velodyne_points/data/...` | KITTI's scan, in its LiDAR's frame |
 | `image_03/000012.png` (or `.jpg`) | the right image of a rectified pair; its camera is P3 |
-| `depth/000012.png` | KITTI's depth map of 16 bits |
 """
 
 from __future__ import annotations
@@ -40,13 +39,13 @@ class Sensor(StrEnum):
 _PLACES = {
     Sensor.LIDAR: ("lidar/{}.npz", "velodyne/{}.bin", "velodyne_points/data/{}.bin"),
     Sensor.RIGHT: ("image_03/{}.png", "image_03/{}.jpg"),
-    Sensor.DEPTH: ("depth/{}.png", "depth/{}.npy"),
+    Sensor.DEPTH: ("lidar/{}.npz", "velodyne/{}.bin", "velodyne_points/data/{}.bin"),  # of which maps are made
 }
 
 
 def file_of(frame: DriveFrame, sensor: Sensor) -> Path | None:
     """The sensor's file of a frame, or None."""
-    if sensor is Sensor.LIDAR and frame.sweep is not None:
+    if sensor is not Sensor.RIGHT and frame.sweep is not None:
         return frame.sweep if frame.sweep.is_file() else None
     root = frame.image.parent.parent
     files = (root / place.format(frame.image.stem) for place in _PLACES[sensor])

@@ -63,14 +63,16 @@ def test_the_median_depth_is_that_of_the_near_side():
 
 
 def test_baselines_stand_beside_the_picture_alone(scanned, setup, scene):  # noqa: F811
-    drive = with_sensors(read_drive(scanned), [Sensor.LIDAR])
-    (frame,) = score_frames([drive], {"drive": setup}, rivals=partial(OtherMethods, scene, (), (Sensor.LIDAR,)))
+    sensors = Sensor.LIDAR, Sensor.DEPTH
+    drive = with_sensors(read_drive(scanned), sensors)
+    (frame,) = score_frames([drive], {"drive": setup}, rivals=partial(OtherMethods, scene, (), sensors))
     right, _, refused = with_points(frame.boxes, [drive])
     assert 100 < right.points < 400  # in centimetres some of the surface are outside
     assert right.outcomes[CUBOID].metres < 0.5
     assert right.outcomes[MEDIAN].metres < 2.0
     assert "no pose" in refused.outcomes[CUBOID].failure
-    assert {"lidar", "lidar/4", "lidar/16", "lidar_turned"} < set(right.outcomes)
+    assert {"lidar", "lidar/4", "lidar/16", "lidar_turned", "depth", "depth_affine"} < set(right.outcomes)
+    assert right.outcomes["depth"].metres < right.outcomes[CUBOID].metres + 0.3
     assert right.outcomes["lidar"].metres < right.outcomes[CUBOID].metres + 0.2
     assert right.outcomes["lidar"] != right.outcomes["lidar/16"]
     assert set(group_boxes([right])["points"]) <= {"100-500 points", "from 500 points on"}
@@ -108,3 +110,4 @@ def test_the_right_image_has_baselines_of_its_own(folder, setup, scene):  # noqa
     of_second = frame.boxes[1].outcomes
     assert of_second[f"{MEDIAN}_stereo"].off[3] == pytest.approx(2.1, abs=0.6)  # half a length
     assert of_second[f"{CUBOID}_stereo"].failure is None
+    assert of_second["stereo"].failure is None

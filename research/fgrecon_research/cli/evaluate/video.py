@@ -89,6 +89,13 @@ class Sensors:
         bool, typer.Option("--right", help="The same with the right image of a rectified pair (folder image_03).")
     ] = False
 
+    depth: Annotated[
+        bool,
+        typer.Option(
+            "--depth", help="The same with depth maps made of the scans: in metres, and up to a scale and a shift."
+        ),
+    ] = False
+
     @property
     def chosen(self) -> list[Sensor]:
         """Those that are requested."""
