@@ -93,10 +93,6 @@ class Requested:
         """Whether results keep their steps."""
         return self.history == "yes"
 
-    def shares_ground(self, *, of_image: bool) -> bool:
-        """Whether the vehicles of an image are solved together; not said, those of photographs are."""
-        return self.together == "yes" if self.together else of_image
-
     def source(self) -> CameraSource:
         """What is given of the camera.
 

@@ -6,34 +6,17 @@ They are run in processes of their own (`fgrecon.app.workers`), by the parts tha
 from __future__ import annotations
 
 import warnings as python_warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from fgrecon.app.requested import Requested
-from fgrecon.batch.results_file import document
-from fgrecon.batch.solve_tasks import (
-    Outcome,
-    SolvedImage,
-    check_any,
-    fit_warnings,
-    grounds_of,
-    left_out_lines,
-    solve_tasks,
-)
-from fgrecon.batch.vehicle_tasks import KeypointRequest, VehicleTask, image_tasks, input_warnings, read_tasks
-from fgrecon.core.camera import Ground
+from fgrecon.batch.file_service import FileRequest, SolvedFile, is_image, read_file, solve_file
+from fgrecon.batch.solve_tasks import check_any
 from fgrecon.core.errors import ContradictoryInputWarning, FgreconError, InvalidInputError
-from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
-from fgrecon.io.images import IMAGES, read_photograph
-from fgrecon.io.run_settings import RunSettings
-from fgrecon.perception.boxes import boxes_of
+from fgrecon.perception.boxes import GivenBoxes
 
 
 @dataclass(frozen=True)
@@ -55,37 +38,7 @@ class Uploaded:
     @property
     def of_image(self) -> bool:
         """Whether it is a photograph."""
-        return Path(self.main).suffix.lower() in IMAGES
-
-
-@dataclass(frozen=True)
-class SolvedUpload:
-    """What became of an upload.
-
-    Attributes:
-        outcomes: One per vehicle.
-        images: What was solved together.
-        settings: What held for all.
-        warnings: What to say of it.
-        pixels: (H, W, 3) the photograph, or None.
-    """
-
-    outcomes: list[Outcome]
-    images: list[SolvedImage]
-    settings: RunSettings
-    warnings: list[str] = field(default_factory=list)
-    pixels: NDArray[np.uint8] | None = None
-
-    @property
-    def ground(self) -> Ground | None:
-        """The ground of the first vehicle's image."""
-        grounds = grounds_of((outcome.task for outcome in self.outcomes), self.settings, self.images)
-        return next(iter(grounds.values()), self.settings.ground)
-
-
-def watch(items: Sequence[Any], _: str) -> Iterable[Any]:
-    """No progress is shown of what takes seconds."""
-    return items
+        return is_image(Path(self.main))
 
 
 @contextmanager
@@ -101,7 +54,7 @@ def without_folder(folder: Path) -> Iterator[None]:
         raise type(error)(str(where), value, str(fix)) from None
 
 
-def solve(folder: Path, uploaded: Uploaded, requested: Requested, *, history: bool | None = None) -> SolvedUpload:
+def solve(folder: Path, uploaded: Uploaded, requested: Requested, *, history: bool | None = None) -> SolvedFile:
     """The vehicles of a photograph or a keypoint file.
 
     Args:
@@ -114,55 +67,26 @@ def solve(folder: Path, uploaded: Uploaded, requested: Requested, *, history: bo
         InvalidInputError: A file or a value cannot be used.
     """
     with without_folder(folder), python_warnings.catch_warnings():
-        python_warnings.simplefilter("ignore", ContradictoryInputWarning)  # said below
-        source, settings = requested.source(), requested.settings(history=history)
-        if uploaded.camera is not None:
-            source = replace(source, file=str(folder / uploaded.camera))
-        seen = folder / uploaded.main if uploaded.of_image else folder / (uploaded.photograph or "")
-        if uploaded.of_image or uploaded.photograph is not None:
-            pixels, exif = read_photograph(seen)
-            source = replace(source, image=pixels, exif=exif)
-        tasks, said = (_from_image if uploaded.of_image else _from_file)(folder, uploaded, requested, source, settings)
-        together = requested.shares_ground(of_image=uploaded.of_image)
-        outcomes, images = solve_tasks(tasks, settings, together=together, watch=watch)
-        return SolvedUpload(
-            outcomes, images, settings, [*said, *_warnings(outcomes, images, source, uploaded)], source.image
-        )
+        python_warnings.simplefilter("ignore", ContradictoryInputWarning)  # `SolvedFile.warnings` says it
+        request = _request(folder, uploaded, requested, history=history)
+        photograph = None if uploaded.photograph is None else folder / uploaded.photograph
+        return solve_file(read_file(folder / uploaded.main, request, photograph), request)
 
 
-def _from_image(
-    folder: Path, uploaded: Uploaded, requested: Requested, source: CameraSource, settings: RunSettings
-) -> tuple[list[VehicleTask], list[str]]:
-    path, pixels = folder / uploaded.main, source.image
-    assert pixels is not None
-    given, score = requested.boxes(), requested.number("min_score")
-    file = None if uploaded.boxes is None or given else folder / uploaded.boxes
-    search = None if given or file else pixels
-    size = (pixels.shape[1], pixels.shape[0])
-    found = boxes_of(path, given, file, search, size, score)
-    how = KeypointRequest(settings.prior.category, None, requested.given_box_model)
-    return image_tasks(path, source, found.cars, how, watch), []
-
-
-def _from_file(
-    folder: Path, uploaded: Uploaded, requested: Requested, source: CameraSource, settings: RunSettings
-) -> tuple[list[VehicleTask], list[str]]:
-    if requested.box:
+def _request(folder: Path, uploaded: Uploaded, requested: Requested, *, history: bool | None) -> FileRequest:
+    given = requested.boxes()
+    if given and not uploaded.of_image:
         raise InvalidInputError("box", requested.box[0], "Leave it out: the boxes are in the keypoint file.")
-    names = requested.names or None
-    read = read_tasks(folder / uploaded.main, settings.prior.category, source, names, uploaded.photograph)
-    return read.tasks, read.warnings
-
-
-def _warnings(
-    outcomes: Sequence[Outcome], images: Sequence[SolvedImage], source: CameraSource, uploaded: Uploaded
-) -> list[str]:
-    tasks = [outcome.task for outcome in outcomes]
-    lines = input_warnings(tasks, detected=uploaded.of_image)
-    lines += [] if lines or uploaded.of_image else fit_warnings(outcomes)
-    estimated = next((i.result.camera for i in images if i.result.camera.focal_sigma), None)
-    lines += [] if estimated is None else [assumed_focal_length(estimated, source.exif)]
-    return lines + left_out_lines(outcomes)
+    file = None if uploaded.boxes is None or given else folder / uploaded.boxes
+    source = requested.source()
+    return FileRequest(
+        settings=requested.settings(history=history),
+        source=source if uploaded.camera is None else replace(source, file=str(folder / uploaded.camera)),
+        boxes=GivenBoxes(given, file, least_score=requested.number("min_score")),
+        box_model=requested.given_box_model,
+        names=requested.names or None,
+        together=requested.together == "yes" if requested.together else None,
+    )
 
 
 def results_text(folder: Path, uploaded: Uploaded, requested: Requested) -> str:
@@ -176,16 +100,9 @@ def results_text(folder: Path, uploaded: Uploaded, requested: Requested) -> str:
     if not check_any(Path(uploaded.main), solved.outcomes):
         reason = next((str(one.error) for one in solved.outcomes if one.error is not None), "no pose was found")
         raise FgreconError(f"No vehicle could be reconstructed: {reason}")
-    photograph = Path(uploaded.main) if uploaded.of_image else None
-    return document(
-        Path(uploaded.main),
-        solved.outcomes,
-        solved.settings,
-        solved.images,
-        photograph,
-        history=requested.keeps_history,
-        warnings=solved.warnings,
-    )
+    history = requested.keeps_history
+    text = solved.document(history=history, warnings=solved.warnings, path=Path(uploaded.main))
+    return text.replace(f"{folder}/", "")
 
 
 @lru_cache(maxsize=1)

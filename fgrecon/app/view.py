@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.app.requested import Requested
-from fgrecon.app.solving import SolvedUpload, Uploaded, solve
-from fgrecon.batch.results_file import document
+from fgrecon.app.solving import Uploaded, solve
+from fgrecon.batch.file_service import SolvedFile
 from fgrecon.batch.solve_tasks import Outcome, with_closest
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
@@ -136,8 +136,9 @@ def view_of(folder: Path, uploaded: Uploaded, requested: Requested, models: Path
             raise
         return _without_cars(folder / uploaded.main, str(error))
     camera = solved.outcomes[0].task.camera
-    width, height = resolution(camera, solved.pixels)
-    text = document(Path(uploaded.main), solved.outcomes, solved.settings, solved.images, history=True)
+    pixels = solved.read.source.image
+    width, height = resolution(camera, pixels)
+    text = solved.document(history=True, path=Path(uploaded.main))
     files = {"results.json": text.encode()}
     named = [NamedResult(one.name, one.result) for one in solved.outcomes if one.result is not None]
     posed = [item for item in named if item.solved]
@@ -151,11 +152,11 @@ def view_of(folder: Path, uploaded: Uploaded, requested: Requested, models: Path
     lens = {} if camera.distortion is None else {"distortion": camera.distortion.tolist()}
     return PageView(
         size=(round(width), round(height)),
-        photograph=b"" if solved.pixels is None else jpeg(solved.pixels, _QUALITY),
+        photograph=b"" if pixels is None else jpeg(pixels, _QUALITY),
         cars=[_car(number, outcome) for number, outcome in enumerate(solved.outcomes)],
         camera={"K": camera.matrix.tolist(), "image_size": [round(width), round(height)], **lens},
         horizon=_horizon(solved, camera, width),
-        warnings=solved.warnings,
+        warnings=[line.replace(f"{folder}/", "") for line in solved.warnings],
         files=files,
         closest=[f"{name}: {one}" for name, one in known.items()],
         height=float(np.median([item.result.location[1] for item in posed])) if posed else 0.0,
@@ -187,7 +188,7 @@ def picture_of(folder: Path, uploaded: Uploaded, requested: Requested) -> bytes:
     """
     solved = solve(folder, uploaded, requested, history=False)
     camera = solved.outcomes[0].task.camera
-    figure = scene_picture(solved.pixels, drawn_of(solved.outcomes), camera, ground=solved.ground)
+    figure = scene_picture(solved.read.source.image, drawn_of(solved.outcomes), camera, ground=solved.ground)
     return _png(as_rgb(figure, 200))
 
 
@@ -199,7 +200,7 @@ def recording_of_upload(folder: Path, uploaded: Uploaded, requested: Requested) 
     """
     solved = solve(folder, uploaded, requested, history=True)
     image = solved.outcomes[0].task.instance.image
-    made = recordings(solved.outcomes, solved.pixels, {image: solved.ground})
+    made = recordings(solved.outcomes, solved.read.source.image, {image: solved.ground})
     path = folder / "recording.rrd"
     made[0][1].write(path)
     return path.read_bytes()
@@ -212,7 +213,7 @@ def _png(image: NDArray[np.uint8]) -> bytes:
     return out.getvalue()
 
 
-def _above(solved: SolvedUpload, camera: Camera, size: tuple[float, float]) -> bytes:
+def _above(solved: SolvedFile, camera: Camera, size: tuple[float, float]) -> bytes:
     scene = DrawnScene(drawn_of(solved.outcomes), camera, size, solved.ground)
     extent = extent_from_above(scene)
     across, ahead = extent[1] - extent[0]
@@ -230,7 +231,7 @@ def _pixels(points: NDArray[np.float64]) -> Pixels:
     return [[round(float(u), 1), round(float(v), 1)] if np.isfinite((u, v)).all() else None for u, v in points]
 
 
-def _horizon(solved: SolvedUpload, camera: Camera, width: float) -> Pixels:
+def _horizon(solved: SolvedFile, camera: Camera, width: float) -> Pixels:
     right, _, ahead = level_axes(solved.ground)
     if solved.ground is None:
         return []

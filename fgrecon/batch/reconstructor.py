@@ -14,28 +14,36 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.batch.rows import failed_row, id_in_image, origin_of, solved_row, table_of
-from fgrecon.batch.schema import EMPTY
+from fgrecon.batch.rows import failed_row, given_of, id_in_image, origin_of, solved_row, table_of
+from fgrecon.batch.schema import EMPTY, LEFT_OUT
 from fgrecon.batch.tasks import nested, record_of
+from fgrecon.batch.vehicle_tasks import KeypointRequest, tasks_in_boxes
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.input_warnings import InputWarning, input_warning_of, result_warning_of, summed_up
-from fgrecon.core.options import Options, checked_options
+from fgrecon.core.input_warnings import (
+    InputWarning,
+    camera_warning_of,
+    input_warning_of,
+    result_warning_of,
+    summed_up,
+)
+from fgrecon.core.options import BoxModel, Options, checked_options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior, SizesLike
 from fgrecon.core.size_prior import size_prior as named_size_prior
+from fgrecon.io.boxes import FileBoxes, NamedBox
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import decode_photograph, read_photograph
 from fgrecon.io.keypoint_file import Instance
 from fgrecon.io.keypoints.any_keypoints import parse_any_keypoints
 from fgrecon.io.keypoints.names import Names, NamesLike, parse_names
-from fgrecon.perception.boxes import for_detected
+from fgrecon.io.run_settings import RunSettings
+from fgrecon.perception.boxes import GivenBoxes, boxes_by
 from fgrecon.perception.keypoints.detect import KeypointCascade, check_box, large_enough, shipped_cascade
 from fgrecon.perception.keypoints.sessions import at_most
-from fgrecon.perception.protocols import find_keypoints
 from fgrecon.perception.sensor_source import SensorSource
-from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles
+from fgrecon.perception.vehicles import NanodetVehicleDetector
 
 if TYPE_CHECKING:
     from fgrecon.io.source_frames import SourceFrame
@@ -72,6 +80,7 @@ class Reconstructor:
         threads: int | None = None,
         scale_to_image: bool = False,
         sensors: SensorSource | None = None,
+        boxes: GivenBoxes | str | Path | None = None,
     ) -> None:
         """Take the settings; nothing is loaded.
 
@@ -87,6 +96,8 @@ class Reconstructor:
             scale_to_image: Whether keypoints are scaled to the camera's image where a row states another size of the
                 same shape.
             sensors: Other sensors' files, named as the images; or None.
+            boxes: Boxes of images: a file or folder as `--boxes` takes it, or also with the least score; None lets the
+                detector look.
             threads: Threads that OpenCV and what runs the networks use from the first image on; None leaves them as
                 they are.
 
@@ -99,6 +110,7 @@ class Reconstructor:
         self._options = replace(checked_options(options), keep_history=False)
         self._weights, self._threads, self._scale_to_image = weights, threads, scale_to_image
         self._sensors = sensors
+        self._boxes = boxes if boxes is None or isinstance(boxes, GivenBoxes) else GivenBoxes(file=Path(boxes))
         self._pictures = Pictures()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -195,41 +207,49 @@ class Reconstructor:
                 options=self._options,
             )
         except Exception as error:  # noqa: BLE001 - one bad vehicle must not take the others of its row along
-            return failed_row(origin, error, vehicle, name) | {"doubt": doubt}
+            return failed_row(origin, error, vehicle, name) | given_of(instance) | {"doubt": doubt}
         doubt = doubt or result_warning_of(seen, result)
-        return solved_row(origin, vehicle, name, result, camera, instance.box, instance.score) | {"doubt": doubt}
+        return solved_row(origin, vehicle, name, result, camera) | given_of(instance) | {"doubt": doubt}
 
     def _image(self, task: Mapping[str, Any], origin: Row) -> Iterator[Row]:
         """A row for each vehicle of an image; they are solved together, as by `fgrecon.reconstruct_image`."""
-        from fgrecon.perception.from_image import reconstruct_detections
+        from fgrecon.batch.solve_tasks import solve_tasks  # on use: whoever hands out the work needs no solver
+        from fgrecon.solve.inputs import as_ground
 
         image, exif_camera = self._pictures.get(task["image"], task.get("frame"))
-        vehicle_detector, cascade = self._networks
-        given = task.get("boxes")
-        found = vehicle_detector(image) if given is None else _given(given, image)
-        large = large_enough(found.boxes)
-        boxes, scores = found.boxes[large], found.scores[large]
-        if not len(boxes):
-            yield {**origin, "status": EMPTY}
+        if isinstance(task["image"], str):
+            origin = origin | {"image": task["image"]}
+        found = self._boxes_in(task, image)
+        if not found.cars:
+            of_file = self._boxes is not None and self._boxes.file is not None
+            yield {**origin, "status": EMPTY, "left_out": [found.left_out] if of_file else []}
             return
-        camera = self._camera_of(task, image, exif_camera)
-        vehicles = reconstruct_detections(
-            find_keypoints(cascade, image, boxes, self.prior.category),
-            camera,
-            prior=self.prior,
-            ground=self._ground,
-            size_prior=self._size_prior,
-            options=for_detected(self._options) if given is None else self._options,
-            evidence=() if self._sensors is None else self._sensors.evidence(_place(task)),
-        )
-        for vehicle, one in enumerate(vehicles):
+        camera, model = self._camera_of(task, image, exif_camera), self._options.box.model
+        given_model = None if model is BoxModel.SURFACE else model  # an outline is one as its source draws it
+        how = KeypointRequest(self.prior.category, None, given_model, self._networks[1])
+        evidence = () if self._sensors is None else self._sensors.evidence(_place(task))
+        tasks = [replace(one, evidence=evidence) for one in tasks_in_boxes(image, camera, found.cars, how)]
+        settings = RunSettings(self.prior, as_ground(self._ground), self._size_prior, self._options)
+        outcomes, _ = solve_tasks(tasks, settings, together=self._options.shape.joint)
+        for vehicle, one in enumerate(outcomes):
             name = id_in_image(origin["row_id"], vehicle)
-            if one.result is None or one.camera is None:
+            given = given_of(one.task.instance) | {"doubt": camera_warning_of(camera)}
+            if one.result is None:
                 assert one.error is not None
-                yield failed_row(origin, one.error, vehicle, name)
-                continue
-            score = None if given is not None else float(scores[vehicle])
-            yield solved_row(origin, vehicle, name, one.result, one.camera, one.detection.evidence.box, score)
+                yield failed_row(origin, one.error, vehicle, name) | given | origin
+            else:
+                yield solved_row(origin, vehicle, name, one.result, one.task.camera) | given | origin
+        if notes := found.notes(self.prior.category.name):
+            yield {**origin, "status": LEFT_OUT, "left_out": list(notes)}
+
+    def _boxes_in(self, task: Mapping[str, Any], image: NDArray[np.uint8]) -> FileBoxes:
+        """The cars of an image: as its row says, as the file of boxes, or as the detector finds them."""
+        if (given := task.get("boxes")) is not None:
+            return FileBoxes(_given(given, image))
+        if self._boxes is not None and self._boxes.file is not None:
+            return self._boxes.in_file(_place(task), image, scale_to_image=self._scale_to_image)
+        least_score = None if self._boxes is None else self._boxes.least_score
+        return FileBoxes(boxes_by(self._networks[0], image, least_score))
 
     def _camera_of(self, task: Mapping[str, Any], image: NDArray[np.uint8], exif_camera: Camera | None) -> Camera:
         """The camera of an image, which knows its size; its vehicles tell the focal length where nobody else does."""
@@ -252,12 +272,13 @@ def _camera(fields: Mapping[str, Any]) -> Camera:
     return Camera(np.array(fields["K"]), None if distortion is None else np.array(distortion))
 
 
-def _given(boxes: Iterable[Iterable[float]], image: NDArray[np.uint8]) -> Vehicles:
-    """Boxes that the row brings, without scores."""
+def _given(boxes: Iterable[Iterable[float]], image: NDArray[np.uint8]) -> list[NamedBox]:
+    """Boxes that the row brings, of outlines."""
     corners = np.array([list(box) for box in boxes], dtype=np.float64).reshape(-1, 4)
     for number, box in enumerate(corners):
         check_box(as_finite(f"boxes[{number}]", box, (4,)), image, f"boxes[{number}]")
-    return Vehicles(corners, np.zeros(len(corners)))
+    large = large_enough(corners)
+    return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(corners[large])]
 
 
 class Pictures:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -39,6 +39,7 @@ def document(
     *,
     history: bool = False,
     warnings: Sequence[str] = (),
+    left_out: Mapping[str, int] | None = None,
 ) -> str:
     """The JSON text of a run: settings, and result or error of every vehicle.
 
@@ -50,6 +51,7 @@ def document(
         photograph: The image of vehicles of which the input does not say it, or None.
         history: Whether results keep their history and graph.
         warnings: What there is to warn of, for who sees nothing but the file.
+        left_out: How many vehicles of the input, or boxes, were left out, by reason.
     """
     content = {
         "format": FORMAT,
@@ -59,6 +61,7 @@ def document(
         "settings": settings_to_dict(settings)
         | {"joint": settings.options.shape.joint, "free_offsets": settings.options.shape.free_offsets},
         **({"warnings": list(warnings)} if warnings else {}),
+        **({"left_out": [{"reason": r, "count": n} for r, n in left_out.items()]} if left_out else {}),
         **({"scenes": [image.to_dict() for image in images]} if images else {}),
         "instances": [_entry(outcome, photograph, history=history) for outcome in outcomes],
     }
@@ -75,7 +78,7 @@ def entry_of(
         "camera": camera_to_dict(task.camera),
         "box": None if box is None else np.asarray(box, dtype=np.float64).tolist(),
         **({} if task.box_model is None else {"box_model": task.box_model.value}),
-        **{name: value for name in ("kind", "score") if (value := getattr(task.instance, name)) is not None},
+        **{name: value for name in ("kind", "score", "track") if (value := getattr(task.instance, name)) is not None},
     }
     if result is not None:
         small = result.to_dict(compact=True, history=history)

@@ -18,6 +18,7 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.reconstruction import Alternative, Diagnostics, Pose, Reconstruction, Shape, Status, Uncertainty
 from fgrecon.core.result_fields import Regions
 from fgrecon.core.serialise import finite
+from fgrecon.io.keypoint_file import Instance
 
 Array = NDArray[np.float64]
 
@@ -33,14 +34,18 @@ def id_in_image(row_id: str, vehicle: int) -> str:
     return f"{row_id}:{vehicle}"
 
 
+def given_of(instance: Instance) -> dict[str, Any]:
+    """What a row repeats of what was given of a vehicle: image, box, class, score and track."""
+    given = {name: getattr(instance, name) for name in ("image", "kind", "score", "track")}
+    return given | {"box": _flat(instance.box)}
+
+
 def solved_row(
     origin: Mapping[str, Any],
     vehicle: int,
     name: str,
     result: Reconstruction,
     camera: Camera,
-    box: Array | None,
-    score: float | None = None,
 ) -> dict[str, Any]:
     """The row of a result.
 
@@ -50,8 +55,6 @@ def solved_row(
         name: The vehicle's id.
         result: The reconstruction.
         camera: The camera that saw it.
-        box: (4,) 2D box in pixels, or None.
-        score: How sure its detector is, or None.
     """
     return {
         **origin,
@@ -78,8 +81,6 @@ def solved_row(
         "focal_sigma": camera.focal_sigma,
         "distortion": _flat(camera.distortion),
         "image_size": camera.image_size,
-        "box": _flat(box),
-        "score": score,
         "box_excess": finite(result.diagnostics.box_excess),
         "left_out": list(result.diagnostics.left_out),
         "milliseconds": sum(result.diagnostics.milliseconds.values()),

@@ -38,7 +38,7 @@ class Tally:
         errors: Those with an error, by its class and the field that it names.
         words: Of each of these errors what the first row says, which has the fix.
         doubts: What is doubtful of the keypoints of this run's rows.
-        left_out: Vehicles of which something was not used, of this run's rows, with the first sentence that says what.
+        left_out: Vehicles and images of which something was not used, of this run's rows, with what.
         box_excesses: By how much 2D boxes are larger than their vehicles look, of this run's rows that tell.
     """
 
@@ -63,8 +63,9 @@ class Tally:
         for name, doubt in zip(*(table.column(name).to_pylist() for name in ("id", "doubt")), strict=True):
             if doubt is not None:
                 self.doubts.add(name or "", InputWarning(doubt))
-        for name, left_out in zip(*(table.column(name).to_pylist() for name in ("id", "left_out")), strict=True):
-            self.left_out += [f"{name}: {left_out[0]}"] if left_out else []
+        columns = (table.column(name).to_pylist() for name in ("id", "row_id", "left_out"))
+        for name, row, left_out in zip(*columns, strict=True):
+            self.left_out += [f"{name or row}: {left_out[0]}"] if left_out else []
         self.box_excesses.extend(pc.drop_null(table.column("box_excess")).to_pylist())
 
     def add_stored(self, outcomes: Iterable[RowOutcome]) -> None:

@@ -9,8 +9,9 @@ import pyarrow as pa
 SCHEMA_VERSION = 2
 FORMAT = f"fgrecon.batch/{SCHEMA_VERSION}"
 
-REFUSED, ERROR, EMPTY = "refused", "error", "empty"
-"""Statuses of rows beside those of results: bad input, anything unforeseen, an image without a vehicle."""
+REFUSED, ERROR, EMPTY, LEFT_OUT = "refused", "error", "empty", "left_out"
+"""Statuses of rows beside those of results: bad input, anything unforeseen, an image without a vehicle, and vehicles of
+an image that the category does not cover."""
 
 _TEXT, _NUMBER, _NUMBERS = pa.string(), pa.float64(), pa.list_(pa.float64())
 
@@ -36,6 +37,8 @@ def result_schema() -> Any:
         *((name, _TEXT) for name in ("row_id", "source")),
         ("frame", pa.int64()),
         ("vehicle", pa.int32()),
+        *((name, _TEXT) for name in ("image", "kind")),
+        ("track", pa.int64()),
         *((name, _TEXT) for name in ("id", "status", "error_type", "error_field", "error", "message")),
         *((name, _TEXT) for name in ("category", "prior")),
         *((name, _NUMBER) for name in ("rotation_y", "x", "y", "z", "length", "width", "height")),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fgrecon.batch.pool import WorkerDiedError, work
-from fgrecon.batch.vehicle_tasks import VehicleTask, Watch
+from fgrecon.batch.vehicle_tasks import VehicleTask, Watch, unwatched
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.input_warnings import InputWarnings, summed_up
@@ -82,7 +82,7 @@ class SolvedImage:
 
 @summed_up()
 def solve_tasks(
-    tasks: Sequence[VehicleTask], settings: RunSettings, *, together: bool, jobs: int = 1, watch: Watch
+    tasks: Sequence[VehicleTask], settings: RunSettings, *, together: bool, jobs: int = 1, watch: Watch = unwatched
 ) -> tuple[list[Outcome], list[SolvedImage]]:
     """Reconstruct vehicles, those of an image together or each by itself.
 

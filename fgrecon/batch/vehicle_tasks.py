@@ -18,6 +18,7 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.input_warnings import InputWarnings, camera_warning_of, input_warning_of
 from fgrecon.core.observation import Observation
+from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.boxes import NamedBox
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.json_fields import read_json
@@ -31,6 +32,12 @@ from fgrecon.perception.sensor_source import SensorSource
 
 Watch = Callable[[Sequence[Any], str], Iterable[Any]]
 """Goes through some things, and shows under a heading how far that has come."""
+
+
+def unwatched(items: Sequence[Any], _: str) -> Iterable[Any]:
+    """Progress that is not shown."""
+    return items
+
 
 _BATCH = 32  # cars that the networks look at together
 
@@ -163,11 +170,13 @@ class KeypointRequest:
         category: Category of the shape prior, which the network must have.
         weights: Network, or None for the shipped one.
         box_model: What the boxes enclose, or None for what their source says.
+        networks: The network where it is loaded already, or None.
     """
 
     category: Category
     weights: Path | None = None
     box_model: BoxModel | None = None
+    networks: KeypointCascade | None = None
 
 
 def image_tasks(
@@ -175,7 +184,7 @@ def image_tasks(
     source: CameraSource,
     boxes: Sequence[NamedBox],
     how: KeypointRequest,
-    watch: Watch,
+    watch: Watch = unwatched,
     sensors: SensorSource | None = None,
 ) -> list[VehicleTask]:
     """The vehicles in the boxes of an image, with the keypoints that the networks detect.
@@ -204,6 +213,26 @@ def image_tasks(
         camera = source.assumed((image.shape[1], image.shape[0]))
     complete = source.complete(camera, declared=False)
     evidence = () if sensors is None else sensors.evidence(path)
+    tasks = tasks_in_boxes(image, complete, boxes, how, watch)
+    given = [replace(task.instance, evidence=()) for task in tasks]  # what keypoint files of them have
+    return [
+        replace(task, instance=instance, label_offset=offset, evidence=evidence)
+        for task, instance in zip(tasks, given, strict=True)
+    ]
+
+
+def tasks_in_boxes(
+    image: NDArray[np.uint8],
+    camera: Camera,
+    boxes: Sequence[NamedBox],
+    how: KeypointRequest,
+    watch: Watch = unwatched,
+) -> list[VehicleTask]:
+    """The vehicles in the boxes of an image (H, W, 3) of a camera, with the keypoints that the networks detect.
+
+    Raises:
+        InvalidInputError: A box cannot be used, there is no network, or its keypoints are of another category.
+    """
     tasks = []
     for item, detection in zip(boxes, detect_in_boxes(image, boxes, how, watch), strict=True):
         seen = detection.observation
@@ -218,13 +247,14 @@ def image_tasks(
             track=item.track,
             kind=item.kind,
             score=item.score,
+            evidence=() if detection.kinds is None else (VehicleClass(detection.kinds),),
         )
-        tasks.append(VehicleTask(instance, complete, offset, how.box_model or item.model, evidence))
+        tasks.append(VehicleTask(instance, camera, None, how.box_model or item.model))
     return tasks
 
 
 def detect_in_boxes(
-    image: NDArray[np.uint8], boxes: Sequence[NamedBox], how: KeypointRequest, watch: Watch
+    image: NDArray[np.uint8], boxes: Sequence[NamedBox], how: KeypointRequest, watch: Watch = unwatched
 ) -> list[CascadeDetection]:
     """The keypoints of the vehicles in some boxes of an image (H, W, 3), a batch at a time.
 
@@ -233,7 +263,7 @@ def detect_in_boxes(
     """
     for item in boxes:
         check_box(item.corners, image, f"box {item.name}")
-    detector = _networks(how.weights)
+    detector = how.networks or _networks(how.weights)
     check_category(detector, how.category)
     detections: list[CascadeDetection] = []
     for start in watch(range(0, len(boxes), _BATCH), f"Keypoints, {_BATCH} cars at a time"):

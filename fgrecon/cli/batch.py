@@ -25,9 +25,31 @@ class BatchOptions:
     """What the rows hold, and who works on them."""
 
     box_model: Annotated[
-        BoxModel, typer.Option(help=BOX_MODEL_HELP, show_default="surface; detected where the detector finds them")
+        BoxModel,
+        typer.Option(
+            help=BOX_MODEL_HELP, show_default="surface; as --boxes says; detected where the detector finds them"
+        ),
     ] = BoxModel.SURFACE
     names: NamesOption = None
+    boxes: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE|FOLDER",
+            help="Boxes of the images' cars: COCO, KITTI, CSV, a file for each image (YOLO); else the detector looks.",
+        ),
+    ] = None
+    min_score: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="Boxes of a lower score are left out.",
+            show_default="0.5 in files, the detector's own otherwise",
+        ),
+    ] = None
+    table: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write all rows as one table (csv, parquet).")
+    ] = None
     weights: WeightsOption = None
     scale_to_image: ScaleOption = False
     jobs: Annotated[int, typer.Option(min=1, help="Processes; with --ray actors at most.")] = 1
@@ -67,19 +89,22 @@ def batch_command(
     """
     from fgrecon.batch.batch_request import BatchRequest, reconstruct_files
     from fgrecon.core.options import Options
+    from fgrecon.perception.boxes import GivenBoxes
 
     screen = terminal.screen()
     settings = scene.settings(Options(strategy=scene.strategy, box=options.box_model, keep_history=False))
-    rest = {name: value for name, value in vars(options).items() if name not in ("box_model", "scale_to_image")}
+    apart = ("box_model", "scale_to_image", "boxes", "min_score")
+    rest = {name: value for name, value in vars(options).items() if name not in apart}
     source = camera.source(scale_to_image=options.scale_to_image)
-    request = BatchRequest(inputs, out, settings, source, sensors=sensors.source(source), **rest)
+    boxes = GivenBoxes(file=options.boxes, least_score=options.min_score)
+    request = BatchRequest(inputs, out, settings, source, sensors=sensors.source(source), boxes=boxes, **rest)
     with screen.bar() as advance:
         tally = reconstruct_files(request, lambda tally: advance("Rows", tally.done, tally.total))
-    if code := _report(tally, out, screen):
+    if code := _report(tally, out, screen, options.table):
         raise typer.Exit(code)
 
 
-def _report(tally: Tally, out: Path, screen: Screen) -> int:
+def _report(tally: Tally, out: Path, screen: Screen, table_file: Path | None) -> int:
     """Say what was done; the exit code."""
     from fgrecon.core.reconstruction import Status
     from fgrecon.core.text import counted
@@ -97,9 +122,9 @@ def _report(tally: Tally, out: Path, screen: Screen) -> int:
     for line in tally.doubts.lines():
         screen.warn(line)
     if tally.left_out:
-        of = counted(len(tally.left_out), "vehicle")
+        of = counted(len(tally.left_out), "row")
         screen.note(f"Of {of} something was left out, as column left_out says; the first is {tally.left_out[0]}")
-    screen.wrote(out)
+    screen.wrote(out, *([] if table_file is None else [table_file]))
     solved = {status.value for status in Status if status is not Status.FAILED}
     if not tally.statuses or solved & set(tally.statuses):
         screen.detail(*(f"{count} x {error}" for error, count in tally.errors.most_common()))
@@ -107,4 +132,4 @@ def _report(tally: Tally, out: Path, screen: Screen) -> int:
     screen.fail("No vehicle could be reconstructed.")
     for error, count in tally.errors.most_common(None if screen.verbose else _LISTED):
         screen.fail(f"{count} x {tally.words[error]}")
-    return 2 if set(tally.statuses) == {"refused"} else 1
+    return 2 if set(tally.statuses) - {"left_out"} == {"refused"} else 1

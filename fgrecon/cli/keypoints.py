@@ -41,7 +41,7 @@ def detect_command(
     check_outputs(json_out, picture=picture)
     screen = terminal.screen(json_out)
     pixels = read_image(image)
-    named = boxes.choose(image, pixels).cars
+    named = boxes.source().of_image(image, pixels).cars
     names = [item.name for item in named]
     category = load_category("car14")
     found = detect_in_boxes(pixels, named, KeypointRequest(category, boxes.weights), screen.watch)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,8 +19,6 @@ from fgrecon.core.parsing import parse_ground, parse_numbers
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
     from fgrecon.calibration.labelled_drives import DriveRequest, GivenScene, ScoredDrives
     from fgrecon.calibration.labelled_frames import Rivals
     from fgrecon.calibration.setup import SceneKnowledge
@@ -28,10 +26,10 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.core.box3d import BoxErrors
     from fgrecon.core.camera import Ground
     from fgrecon.core.options import Options
-    from fgrecon.io.boxes import FileBoxes
     from fgrecon.io.cameras.camera_source import CameraSource, PartOfImage
     from fgrecon.io.kitti_drives import Drive
     from fgrecon.io.run_settings import RunSettings
+    from fgrecon.perception.boxes import GivenBoxes
     from fgrecon.viz import Recording
 
 KITTI_CAMERA_HEIGHT = 1.65
@@ -362,23 +360,16 @@ class VehicleBoxes:
     ] = None
     weights: WeightsOption = None
 
-    def choose(self, path: Path, image: NDArray[Any], *, scale_to_image: bool = False) -> FileBoxes:
-        """The cars of an image; found by the detector where nobody says where they are.
-
-        Args:
-            path: The image's file.
-            image: (H, W, 3) its pixels.
-            scale_to_image: Whether boxes of a file are scaled to the image.
+    def source(self) -> GivenBoxes:
+        """Where the boxes are from.
 
         Raises:
-            InvalidInputError: Several of the ways are given, a box is none, or there is no car.
+            InvalidInputError: Several of the ways are given, or a box is none.
         """
-        from fgrecon.perception.boxes import boxes_of
+        from fgrecon.perception.boxes import GivenBoxes
 
         given = [parse_numbers("box", text, "x1,y1,x2,y2: four numbers in pixels", (4,)) for text in self.box or ()]
-        search = image if self.detect or not (given or self.boxes) else None
-        size = image.shape[1], image.shape[0]
-        return boxes_of(path, given, self.boxes, search, size, self.min_score, scale_to_image=scale_to_image)
+        return GivenBoxes(given, self.boxes, self.detect, self.min_score)
 
     def refuse(self) -> None:
         """Refuse what means nothing for a keypoint file.

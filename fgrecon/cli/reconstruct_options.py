@@ -26,6 +26,8 @@ from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from fgrecon.batch.file_service import FileRequest
+    from fgrecon.batch.vehicle_tasks import Watch
     from fgrecon.core.category import Category
     from fgrecon.core.vehicle_mesh import VehicleMesh
     from fgrecon.io.cameras.camera_source import CameraSource
@@ -211,9 +213,31 @@ class ReconstructRequest:
         to_folder = self.results.out is not None or self.results.pictures
         return not to_folder and len(files) == 1 and not files[0].is_dir()
 
-    def together(self, *, of_image: bool) -> bool:
-        """Whether the vehicles of an image are solved together."""
-        return of_image and self.solving.joint if self.results.together is None else self.results.together
+    def of_files(self, watch: Watch) -> FileRequest:
+        """What is requested of each file.
+
+        Args:
+            watch: Shows progress.
+
+        Raises:
+            InvalidInputError: A value names nothing, or cannot be used.
+        """
+        from fgrecon.batch.file_service import FileRequest
+
+        settings, source = self.settings(), self.source()
+        return FileRequest(
+            settings=settings,
+            source=source,
+            boxes=self.boxes.source(),
+            weights=self.boxes.weights,
+            box_model=self.solving.box_model,
+            names=self.results.names,
+            sensors=self.sensors.source(source),
+            together=self.results.together,
+            jobs=self.results.jobs,
+            models=self.car_models.read(settings.prior.category),
+            watch=watch,
+        )
 
     def settings(self) -> RunSettings:
         """What holds for every vehicle.

@@ -10,67 +10,24 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fgrecon.batch.results_file import document
-from fgrecon.batch.solve_tasks import (
-    Outcome,
-    SolvedImage,
-    check_any,
-    fit_warnings,
-    grounds_of,
-    left_out_lines,
-    solve_same_camera,
-    solve_tasks,
-    with_closest,
-)
-from fgrecon.batch.vehicle_tasks import KeypointRequest, VehicleTask, image_tasks, input_warnings, read_tasks
+from fgrecon.batch.file_service import FileRequest, ReadFile, SolvedFile, is_image, read_file, solve_file
+from fgrecon.batch.solve_tasks import check_any, solve_same_camera, with_closest
+from fgrecon.batch.vehicle_tasks import VehicleTask
 from fgrecon.cli import reconstruct_report as report
 from fgrecon.cli.outputs import check_not_over, files_in
 from fgrecon.cli.reconstruct_options import Drawings, ReconstructRequest
 from fgrecon.cli.terminal import Screen
-from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.text import counted, distinct
-from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.files import write_text
 from fgrecon.io.images import IMAGES, read_photograph
-from fgrecon.io.nuscenes import NEAREST
-from fgrecon.io.run_settings import RunSettings
-from fgrecon.perception.sensor_source import SensorSource
 from fgrecon.viz.outcomes import draw, draw_moving, recordings
 
 _NAMED = 8
 """Vehicles that an error names."""
-
-
-@dataclass(frozen=True)
-class _Photograph:
-    """A photograph whose vehicles have keypoints.
-
-    Attributes:
-        path: Its file.
-        tasks: Its vehicles.
-        source: What is given of its camera, with its pixels and EXIF data.
-    """
-
-    path: Path
-    tasks: list[VehicleTask]
-    source: CameraSource
-
-
-@dataclass(frozen=True)
-class _Solved:
-    """The vehicles of a file, solved."""
-
-    tasks: list[VehicleTask]
-    outcomes: list[Outcome]
-    images: list[SolvedImage]
-
-    def grounds(self, settings: RunSettings) -> dict[str | None, Ground | None]:
-        """The ground of each image, by its name."""
-        return grounds_of(self.tasks, settings, self.images)
 
 
 def reconstruct_file(files: Sequence[Path], request: ReconstructRequest, screen: Screen) -> bool:
@@ -83,96 +40,49 @@ def reconstruct_file(files: Sequence[Path], request: ReconstructRequest, screen:
         InvalidInputError: The input cannot be used.
     """
     (file,) = files
-    settings, of_image = request.settings(), _is_image(file)
-    models = request.car_models.read(settings.prior.category)
-    request.check_jobs(of_image=of_image, several=False)
-    photograph, ignored = _read(file, request, settings, screen)
-    tasks = _chosen(photograph.tasks, request.solving.ids)
-    _check_animated(request.drawings, tasks)
-    warnings = input_warnings(tasks, detected=of_image)
-    if settings.ground is None and tasks:
-        image = file if of_image else request.drawings.image
-        screen.print(*_ground_of(photograph.source, tasks[0].instance.image or (None if image is None else image.name)))
-    together = request.together(of_image=of_image)
-    outcomes, images = solve_tasks(tasks, settings, together=together, jobs=request.results.jobs, watch=screen.watch)
-    solved = _Solved(tasks, with_closest(outcomes, models), images)
-    report.print_table(screen, solved.outcomes)
-    for image_solved in images:
-        screen.print(*report.image_lines(image_solved))
-        if image_solved.result.camera.focal_sigma:
-            screen.warn(assumed_focal_length(image_solved.result.camera, photograph.source.exif))
-    left_out = left_out_lines(solved.outcomes)
-    screen.print(
-        *left_out[:_NAMED], *([f"... and {len(left_out) - _NAMED} more left out."] if left_out[_NAMED:] else [])
-    )
-    for line in warnings or ([] if of_image else fit_warnings(solved.outcomes)):
-        screen.warn(line)
-    if ignored:
-        screen.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.")
-    _deliver(file, solved, photograph, request, settings, screen)
+    request.check_jobs(of_image=is_image(file), several=False)
+    if not is_image(file):
+        request.boxes.refuse()
+    what = request.of_files(screen.watch)
+    if what.sensors is not None and is_image(file):
+        what.sensors.check([file.name])
+    read = read_file(file, what, request.drawings.image)
+    _say_left_out(read, screen)
+    read = replace(read, tasks=_chosen(read.tasks, request.solving.ids))
+    _check_animated(request.drawings, read.tasks)
+    if what.settings.ground is None and read.tasks:
+        image = None if read.photograph is None else read.photograph.name
+        screen.print(*_ground_of(read.source, read.tasks[0].instance.image or image))
+    solved = solve_file(read, what)
+    _report(solved, screen)
+    _deliver(solved, request, screen)
     if not check_any(file, solved.outcomes):
         screen.fail("No vehicle could be reconstructed.")
         return False
     return True
 
 
-def _read(
-    file: Path, request: ReconstructRequest, settings: RunSettings, screen: Screen
-) -> tuple[_Photograph, tuple[str, ...]]:
-    """The vehicles of a file, the photograph that shows them, and fields of the file that mean nothing."""
-    if _is_image(file):
-        return _read_photograph(file, request, settings, screen), ()
-    request.boxes.refuse()
-    source, image = request.source(), request.drawings.image
-    if image is not None:
-        pixels, exif = read_photograph(image, source.whole)
-        source = replace(source, image=pixels, exif=exif)
-    names = request.results.names
-    read = read_tasks(file, settings.prior.category, source, names, None if image is None else image.name)
+def _say_left_out(read: ReadFile, screen: Screen) -> None:
+    for line in read.notes:
+        screen.note(line)
     for line in read.warnings:
         screen.warn(line)
-    tasks = _with_evidence(read.tasks, request.sensors.source(source), image or file)
-    return _Photograph(file, tasks, source), read.ignored
 
 
-def _with_evidence(tasks: list[VehicleTask], sensors: SensorSource | None, file: Path) -> list[VehicleTask]:
-    """The vehicles of a keypoint file with what other sensors say of their images.
-
-    Args:
-        tasks: The vehicles.
-        sensors: The sensors' files, or None.
-        file: The photograph, else the keypoint file, whose name the sensors' files have where vehicles name no image.
-    """
-    if sensors is None:
-        return tasks
-    paths = [file if one.instance.image in (None, file.name) else Path(str(one.instance.image)) for one in tasks]
-    sensors.check(path.name for path in paths)
-    known = {path: sensors.evidence(path) for path in paths}
-    return [replace(one, evidence=known[path]) for path, one in zip(paths, tasks, strict=True)]
-
-
-def _read_photograph(path: Path, request: ReconstructRequest, settings: RunSettings, screen: Screen) -> _Photograph:
-    source = request.source()
-    pixels, exif = read_photograph(path, source.whole)
-    source = replace(source, image=pixels, exif=exif)
-    how = KeypointRequest(settings.prior.category, request.boxes.weights, request.solving.box_model)
-    found = request.boxes.choose(path, pixels, scale_to_image=source.scale_to_image)
-    if others := found.other_vehicles:
-        listed = ", ".join(f"{count} {kind}" for kind, count in others.most_common())
-        screen.note(f"{path.name}: left out {listed}, which {settings.prior.category.name} does not cover.")
-    if found.near:
-        cars = counted(found.near, "car")
-        screen.note(f"{path.name}: left out {cars} nearer to the camera than {NEAREST} m, without a 2D box.")
-    sensors = request.sensors.source(source)
-    if sensors is not None and request.of_one([path]):
-        sensors.check([path.name])
-    tasks = image_tasks(path, source, found.cars, how, screen.watch, sensors)
-    return _Photograph(path, tasks, source)
-
-
-def _is_image(path: Path) -> bool:
-    """Whether a file is an image, by its ending."""
-    return path.suffix.lower() in IMAGES
+def _report(solved: SolvedFile, screen: Screen) -> None:
+    """Say what became of the vehicles, and what there is to warn of."""
+    report.print_table(screen, solved.outcomes)
+    for image in solved.images:
+        screen.print(*report.image_lines(image))
+    for line in solved.focal_lengths:
+        screen.warn(line)
+    left_out = solved.parts_left_out
+    more = [f"... and {len(left_out) - _NAMED} more left out."] if left_out[_NAMED:] else []
+    screen.print(*left_out[:_NAMED], *more)
+    for line in solved.contradictions:
+        screen.warn(line)
+    if ignored := solved.read.ignored:
+        screen.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.")
 
 
 def _chosen(tasks: list[VehicleTask], ids: Sequence[str] | None) -> list[VehicleTask]:
@@ -208,20 +118,11 @@ def _ground_of(source: CameraSource, image: str | None) -> list[str]:
     return [f"{source.file} says where the ground is; --ground={plane} uses it."]
 
 
-def _deliver(
-    file: Path,
-    solved: _Solved,
-    photograph: _Photograph,
-    request: ReconstructRequest,
-    settings: RunSettings,
-    screen: Screen,
-) -> None:
+def _deliver(solved: SolvedFile, request: ReconstructRequest, screen: Screen) -> None:
     """Write the results file, drawings and recordings."""
-    drawings, pixels, outcomes = request.drawings, photograph.source.image, solved.outcomes
-    image = file if _is_image(file) else drawings.image
-    history = request.results.history
-    screen.write_json(document(file, outcomes, settings, solved.images, image, history=history))
-    grounds = solved.grounds(settings)
+    drawings, pixels, outcomes = request.drawings, solved.read.source.image, solved.outcomes
+    screen.write_json(solved.document(history=request.results.history))
+    grounds = solved.grounds
     if drawings.picture is not None:
         screen.wrote(*draw(drawings.picture, outcomes, pixels, grounds, sheet=drawings.sheet))
     if drawings.animation is not None:
@@ -240,16 +141,16 @@ def reconstruct_each(files: Sequence[Path], request: ReconstructRequest, screen:
     Raises:
         InvalidInputError: An option is of a single file, the files are no images, or would be written over.
     """
-    settings = request.settings()
-    models = request.car_models.read(settings.prior.category)
+    what = request.of_files(screen.watch)
     targets = _targets(files, request)
+    what.boxes.check_images(len(targets))
     request.check_jobs(of_image=True, several=True)
     _refuse_of_one(request)
-    work = _Work(request, settings, models, targets, screen)
-    if request.results.same_camera and request.source().given:
+    work = _Work(request, what, targets, screen)
+    if request.results.same_camera and what.source.given:
         raise InvalidInputError("same_camera", "beside a camera", "Leave it out: the focal length is known.")
-    for photograph in work.photographs_same_camera() if request.results.same_camera else work.photographs():
-        work.deliver(*photograph)
+    for solved in work.photographs_same_camera() if request.results.same_camera else work.photographs():
+        work.deliver(solved)
     done = len(targets) - len(work.problems)
     screen.print(f"{counted(work.vehicles, 'vehicle')} in {done} of {counted(len(targets), 'image')}.")
     for line in work.problems:
@@ -271,11 +172,11 @@ def _targets(files: Sequence[Path], request: ReconstructRequest) -> dict[Path, P
     images: dict[Path, None] = {}
     for file in files:
         if file.is_dir():
-            inside = [path for path in sorted(file.iterdir()) if _is_image(path) and path.is_file()]
+            inside = [path for path in sorted(file.iterdir()) if is_image(path) and path.is_file()]
             if not inside:
                 raise InvalidInputError("file", str(file), f"Give a folder with images ({', '.join(IMAGES)}).")
             images |= dict.fromkeys(inside)
-        elif not _is_image(file):
+        elif not is_image(file):
             fix = "Give images and folders of them, or one file alone without --out."
             raise InvalidInputError("file", str(file), fix)
         else:
@@ -313,8 +214,7 @@ class _Work:
 
     Attributes:
         request: What is requested.
-        settings: What holds for all of them.
-        models: Car models that vehicles are compared with; may be empty.
+        what: What of that is requested of each of them.
         targets: The photographs, and for each the file of its results without ending.
         screen: Where it is said.
         problems: What could not be used, and why.
@@ -322,34 +222,35 @@ class _Work:
     """
 
     request: ReconstructRequest
-    settings: RunSettings
-    models: Sequence[VehicleMesh]
+    what: FileRequest
     targets: dict[Path, Path]
     screen: Screen
     problems: list[str] = field(default_factory=list)
     vehicles: int = 0
 
-    def photographs(self) -> Iterator[tuple[_Photograph, list[Outcome], list[SolvedImage]]]:
+    def _read(self, path: Path) -> ReadFile:
+        read = read_file(path, self.what)
+        _say_left_out(read, self.screen)
+        return read
+
+    def photographs(self) -> Iterator[SolvedFile]:
         """Each photograph solved by itself, as soon as it is read."""
-        together = self.request.together(of_image=True)
         for path in self.screen.watch(list(self.targets), "Images"):
             try:
-                photograph = _read_photograph(path, self.request, self.settings, self.screen)
-                solved = solve_tasks(photograph.tasks, self.settings, together=together, watch=self.screen.watch)
+                solved = solve_file(self._read(path), self.what)
             except FgreconError as error:
                 self.problems.append(f"{path}: {error}")
                 continue
-            yield photograph, *solved
-            for image in solved[1]:
-                if image.result.camera.focal_sigma:
-                    self.screen.warn(assumed_focal_length(image.result.camera, photograph.source.exif))
+            yield solved
+            for line in solved.focal_lengths:
+                self.screen.warn(line)
 
-    def photographs_same_camera(self) -> Iterator[tuple[_Photograph, list[Outcome], list[SolvedImage]]]:
+    def photographs_same_camera(self) -> Iterator[SolvedFile]:
         """All photographs with one focal length, which is estimated when all are read."""
-        read: list[_Photograph] = []
+        read: list[ReadFile] = []
         for path in self.screen.watch(list(self.targets), "Keypoints"):
             try:
-                photograph = _read_photograph(path, self.request, self.settings, self.screen)
+                photograph = self._read(path)
                 if read and not _may_be_same(read[0].tasks[0].camera, photograph.tasks[0].camera):
                     value = f"another size or focal length than {read[0].path.name}"
                     raise InvalidInputError("same_camera", value, "Give images of one camera, alike in size.")
@@ -360,31 +261,29 @@ class _Work:
             read.append(replace(photograph, source=without_pixels))
         if not read:
             return
-        solved = solve_same_camera([(photograph.path.name, photograph.tasks) for photograph in read], self.settings)
+        settings = self.what.settings
+        solved = solve_same_camera([(photograph.path.name, photograph.tasks) for photograph in read], settings)
         counts = [sum(outcome.result is not None for outcome in outcomes) for outcomes, _ in solved]
         cars = f"the {counted(sum(counts), 'car')} of {counted(sum(map(bool, counts)), 'image')}"
         self.screen.warn(assumed_focal_length(solved[0][1].result.camera, read[0].source.exif, cars))
         for photograph, (outcomes, image) in zip(read, solved, strict=True):
-            yield photograph, outcomes, [image]
+            yield SolvedFile(photograph, settings, with_closest(outcomes, self.what.models), [image])
 
-    def deliver(self, photograph: _Photograph, outcomes: list[Outcome], images: list[SolvedImage]) -> None:
+    def deliver(self, solved: SolvedFile) -> None:
         """Show a photograph's results, and write them to its file.
 
         Raises:
             InvalidInputError: The file cannot be written.
         """
-        path, screen, results = photograph.path, self.screen, self.request.results
-        outcomes = with_closest(outcomes, self.models)
+        path, screen, results, outcomes = solved.read.path, self.screen, self.request.results, solved.outcomes
         screen.print(f"{path}:")
         report.print_table(screen, outcomes)
-        text = document(path, outcomes, self.settings, images, path, history=results.history)
         target = self.targets[path]
-        screen.wrote(write_text(_with_ending(target, ".json"), text))
+        screen.wrote(write_text(_with_ending(target, ".json"), solved.document(history=results.history)))
         if results.pictures:
-            pixels: NDArray[np.uint8] | None = photograph.source.image
+            pixels = solved.read.source.image
             pixels = read_photograph(path)[0] if pixels is None else pixels
-            grounds = _Solved(photograph.tasks, outcomes, images).grounds(self.settings)
-            screen.wrote(*draw(_with_ending(target, ".png"), outcomes, pixels, grounds, sheet=False))
+            screen.wrote(*draw(_with_ending(target, ".png"), outcomes, pixels, solved.grounds, sheet=False))
         try:
             problem = None if check_any(path, outcomes) else outcomes[0].error or _all_failed(path)
         except InvalidInputError as error:

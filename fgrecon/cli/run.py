@@ -72,7 +72,11 @@ class VehicleOptions:
 
     tracks: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Vehicles detected by others: KITTI's tracking lines, MOT's, or keypoints."),
+        typer.Option(
+            metavar="FILE|FOLDER",
+            help="Vehicles detected by others: KITTI's tracking lines, MOT's, keypoints, CSV; a folder: a file for "
+            "each image (YOLO, KITTI).",
+        ),
     ] = None
     forget_ids: Annotated[bool, typer.Option("--forget-ids", help="Give those vehicles ids anew.")] = False
     scale_to_image: ScaleOption = False
@@ -80,7 +84,7 @@ class VehicleOptions:
         BoxModel | None,
         typer.Option(
             help="What 2D boxes enclose; off: they are no evidence.",
-            show_default="detected; of --tracks: surface in keypoints, cuboid in KITTI's lines",
+            show_default="detected; of --tracks: cuboid in KITTI's lines, surface otherwise",
         ),
     ] = None
     weights: WeightsOption = None

@@ -56,7 +56,6 @@ def track_command(
 
     Exit code 0: every track was solved; 1: one failed; 2: bad usage or input.
     """
-    from fgrecon.batch.vehicle_tasks import input_warnings
     from fgrecon.cli import track_report
     from fgrecon.core.options import Options
     from fgrecon.core.reconstruction import Status
@@ -76,7 +75,7 @@ def track_command(
     for track in solved:
         screen.print(f"{track.name}: {track.result.status.value}: {track.result.message}")
         screen.detail(*track_report.details(track))
-        for line in (*track.left_out, *input_warnings(track.tasks)):
+        for line in (*track.left_out, *track.contradictions):
             screen.warn(f"{track.name}: {line}")
     screen.write_json(track_report.document(solved, settings, history=options.history))
     if options.picture is not None:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from fgrecon.batch.results_file import SCHEMA_VERSION, entry_of
-from fgrecon.batch.solve_tasks import solve_task
-from fgrecon.batch.vehicle_tasks import VehicleTask, read_tasks
+from fgrecon.batch.solve_tasks import Outcome, fit_warnings, solve_task
+from fgrecon.batch.vehicle_tasks import VehicleTask, input_warnings, read_tasks
 from fgrecon.cli.reconstruct_report import details as result_details
 from fgrecon.cli.terminal import compact_table
 from fgrecon.core.errors import InvalidInputError
@@ -67,6 +67,13 @@ class Solved:
     def recording(self) -> Recording:
         """Its recording."""
         return track_recording_of(self.result, self.sight)
+
+    @property
+    def contradictions(self) -> list[str]:
+        """What must be wrong with the keypoints or the camera."""
+        tasks = [self.tasks[index] for index in self.result.numbers]
+        solved = [Outcome(task, frame, None) for task, frame in zip(tasks, self.result.frames, strict=True)]
+        return input_warnings(self.tasks) or fit_warnings(solved)
 
     @property
     def truths(self) -> list[Truth | None]:

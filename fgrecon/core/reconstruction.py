@@ -310,7 +310,7 @@ class Reconstruction:
         return {"id": name, **self._scalars(), **(self._flat() if flat else self._lists())}
 
     def to_pandas(self, name: str = "0") -> Any:
-        """A `pandas.DataFrame` of one row: the columns of `to_row`, those of an exported CSV file.
+        """A `pandas.DataFrame` of one row: the columns of `to_row`, which exported CSV files have too.
 
         Raises:
             MissingPackageError: pandas is not installed.
@@ -318,7 +318,7 @@ class Reconstruction:
         return as_pandas([self.to_row(name)])
 
     def to_arrow(self, name: str = "0") -> Any:
-        """A `pyarrow.Table` of one row, arrays as lists: the columns of an exported Parquet file."""
+        """A `pyarrow.Table` of one row, arrays as lists: exported Parquet files have these columns too."""
         return as_arrow([self.to_row(name, flat=False)])
 
     def to_dict(self, *, compact: bool = False, history: bool = False) -> dict[str, Any]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import takewhile
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,8 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
+from fgrecon.core.text import counted
+from fgrecon.io.box_csv import CsvBox, read_csv_boxes
 from fgrecon.io.files import read_text
 from fgrecon.io.frame_names import of_one_image
 from fgrecon.io.image_size import scale_between
@@ -31,11 +35,13 @@ _COCO_CLASSES = {1: "person", 2: "bicycle", 3: "car", 4: "motorcycle", 6: "bus",
 _YOLO_CLASSES = {0: "person", 1: "bicycle", 2: "car", 3: "motorcycle", 5: "bus", 6: "train", 7: "truck"}
 """The places of these among COCO's 80 classes, as which YOLO numbers them."""
 _OTHER_VEHICLES = frozenset(["van", "truck", "bus", "train", "tram", "trailer", "motorcycle", "motorbike", "caravan"])
-_CLASSES = "classes.txt"
+_CLASSES, _DATA = "classes.txt", "data.yaml"
+ENDINGS = (".txt", ".json", ".csv")
+"""Of files of boxes."""
 _LISTED = 5  # classes and images that an error names
 _FIX = (
-    "Give KITTI labels (object, tracking), detections `image class score x1 y1 x2 y2`, YOLO's `class x y w h`, COCO "
-    "JSON, or nuScenes' tables. MOT's lines are of a video: `fgrecon run --tracks`."
+    "Give KITTI labels (object, tracking), detections `image class score x1 y1 x2 y2`, YOLO's `class x y w h`, CSV, "
+    "COCO JSON, or nuScenes' tables. MOT's lines are of a video: `fgrecon run --tracks`."
 )
 
 
@@ -71,6 +77,7 @@ class FileBoxes:
         classes: How many boxes of the image are of which other class.
         images: How many boxes are of which other image.
         near: How many cars of nuScenes reach nearer to the camera than its near plane, and have no 2D box.
+        absent: Whether a folder has no file for the image.
     """
 
     cars: list[NamedBox]
@@ -79,6 +86,7 @@ class FileBoxes:
     classes: Counter[str] = field(default_factory=Counter)
     images: Counter[str] = field(default_factory=Counter)
     near: int = 0
+    absent: bool = False
 
     @property
     def other_vehicles(self) -> Counter[str]:
@@ -86,16 +94,30 @@ class FileBoxes:
         return Counter({kind: count for kind, count in self.classes.items() if kind.lower() in _OTHER_VEHICLES})
 
     @property
-    def left_out(self) -> str:
-        """How many boxes were left out, by reason."""
+    def reasons(self) -> dict[str, int]:
+        """How many boxes of the image were left out, by reason."""
         reasons = {
             f"with a score below what is taken ({LEAST_SCORE} where nothing is said)": self.low,
             "of crowds": self.crowds,
             f"of other classes ({_some(self.classes)})": self.classes.total(),
-            f"of other images ({_some(self.images)})": self.images.total(),
             f"nearer to the camera than {NEAREST} m, which have no 2D box": self.near,
         }
-        said = [f"{count} {reason}" for reason, count in reasons.items() if count]
+        return {reason: count for reason, count in reasons.items() if count}
+
+    def notes(self, category: str) -> tuple[str, ...]:
+        """What vehicles of the image were left out: those that a category does not cover, and those too near."""
+        listed = ", ".join(f"{count} {kind}" for kind, count in self.other_vehicles.most_common())
+        others = (f"left out {listed}, which {category} does not cover.",) if listed else ()
+        near = f"left out {counted(self.near, 'car')} nearer to the camera than {NEAREST} m, without a 2D box."
+        return (*others, near) if self.near else others
+
+    @property
+    def left_out(self) -> str:
+        """How many boxes were left out, by reason, those of other images included."""
+        others = {f"of other images ({_some(self.images)})": self.images.total()} if self.images else {}
+        if self.absent:
+            return "the folder has no file for it"
+        said = [f"{count} {reason}" for reason, count in (self.reasons | others).items()]
         return f"left out: {', '.join(said)}" if said else "it has no box at all"
 
 
@@ -133,9 +155,10 @@ def boxes_in(
 
     Args:
         file: KITTI label or result file (object or tracking, type `Car`), detections with lines
-            `image class score x1 y1 x2 y2 [box model]`, YOLO's lines `class x y w h [score] [track]` in parts of the
-            image (cars are class 2, or the line `car` of a `classes.txt` beside the file), COCO JSON, the folder of
-            nuScenes' tables; or a folder with such a file for each image, of its name.
+            `image class score x1 y1 x2 y2 [box model]`, CSV (`fgrecon.io.box_csv`), YOLO's lines
+            `class x y w h [score] [track]` in parts of the image (cars are class 2, or `car` in a `classes.txt` beside
+            the file or a `data.yaml` above it), COCO JSON, the folder of nuScenes' tables; or a folder with such a file
+            for each image, of its name.
         image: Name of the image, without ending. Folders before it choose among images of that name (COCO).
         size: Width and height of the image, pixels, which YOLO's boxes need.
         least_score: Boxes of a lower score are left out; None for 0.5, and all of KITTI's results, whose scores are
@@ -153,27 +176,78 @@ def boxes_in(
         cars = [NamedBox(token, corners, BoxModel.CUBOID, kind=_CAR) for token, corners in cuboids]
         return FileBoxes(cars, near=near)
     if file.is_dir():
-        file = next((path for ending in (".txt", ".json") if (path := file / f"{image}{ending}").is_file()), file)
+        own = next((path for ending in ENDINGS if (path := file / f"{image}{ending}").is_file()), None)
+        if own is None:
+            _check_folder(file)
+            return FileBoxes([], absent=True)
+        file = own
     if file.suffix.lower() == ".json":
-        coco = _Coco.of(read_json(file), file, LEAST_SCORE if least_score is None else least_score)
-        return coco.of_image(given, size, scale=scale_to_image)
-    return _of_lines(file, image, size, least_score)
+        least = LEAST_SCORE if least_score is None else least_score
+        return _coco(file, _changed(file)).of_image(given, size, least, scale=scale_to_image)
+    rows = [
+        (number, box.in_image(file, number, size, scale=scale_to_image) if isinstance(box, _Relative | _Sized) else box)
+        for number, box in _lines(file, _changed(file))
+    ]
+    return _of_lines(rows, image, least_score)
 
 
-def _of_lines(file: Path, image: str, size: tuple[int, int] | None, least_score: float | None) -> FileBoxes:
-    """The boxes of a file of lines."""
-    rows: list[tuple[int, _Box]] = []
+def _check_folder(folder: Path) -> None:
+    """Refuse a folder without boxes.
+
+    Raises:
+        InvalidInputError: It has no file of boxes.
+    """
+    if not any(path.suffix.lower() in ENDINGS and path.name != _CLASSES for path in folder.iterdir()):
+        fix = f"Give the folder with a file ({', '.join(ENDINGS)}) for each image, of its name."
+        raise InvalidInputError("boxes", f"{folder} without one", fix)
+
+
+def names_images(file: Path) -> bool:
+    """Whether a file or folder of boxes tells those of several images apart.
+
+    Raises:
+        InvalidInputError: The file cannot be read.
+    """
+    if file.is_dir() or file.suffix.lower() == ".json":
+        return True
+    rows = _lines(file, _changed(file))
+    return any(not isinstance(box, _Relative) and box.image is not None for _, box in rows)
+
+
+def _changed(file: Path) -> int:
+    """When a file was changed; what was read of it before holds until then.
+
+    Raises:
+        InvalidInputError: There is no such file.
+    """
+    try:
+        return file.stat().st_mtime_ns
+    except OSError:
+        raise InvalidInputError("boxes", str(file), _FIX) from None
+
+
+@lru_cache(maxsize=2)
+def _lines(file: Path, changed: int) -> tuple[tuple[int, _Box | _Relative | _Sized], ...]:  # noqa: ARG001
+    """The boxes of a file of lines or of a CSV, with their numbers; a changed file is read again.
+
+    Raises:
+        InvalidInputError: It cannot be read, or a line has no known format; names it.
+    """
+    if file.suffix.lower() == ".csv":
+        return tuple((number, _Sized.of(file, box)) for number, box in enumerate(read_csv_boxes(file)))
+    rows: list[tuple[int, _Box | _Relative | _Sized]] = []
     for number, line in enumerate(read_text(file, "boxes", _FIX).splitlines()):
         if not line.strip():
             continue
         try:
-            relative = _relative(line.split())
-            box = _of_line(line.split(), line) if relative is None else None
+            rows.append((number, _relative(line.split()) or _of_line(line.split(), line)))
         except ValueError as error:
             raise InvalidInputError(f"{file}:{number + 1}", line, _FIX) from error
-        box = relative.in_image(file, number, size) if relative is not None else box
-        assert box is not None
-        rows.append((number, box))
+    return tuple(rows)
+
+
+def _of_lines(rows: Sequence[tuple[int, _Box]], image: str, least_score: float | None) -> FileBoxes:
+    """The cars of an image among the boxes of lines."""
     same = of_one_image((box.image for _, box in rows if box.image is not None), image)
     found = FileBoxes([])
     low = 0
@@ -222,6 +296,31 @@ class _Box:
 
 
 @dataclass(frozen=True)
+class _Sized:
+    """A box of a CSV, with the size that the file states of its image, or None."""
+
+    box: _Box
+    size: tuple[int, int] | None
+
+    @classmethod
+    def of(cls, file: Path, row: CsvBox) -> _Sized:
+        """The box of a row."""
+        kind = _yolo_class(file, int(row.kind)) if row.kind.isdecimal() else _word(row.kind)
+        box = _Box(row.corners, BoxModel.SURFACE, kind, True, row.score, row.image, True, row.track)  # noqa: FBT003
+        return cls(box, row.size)
+
+    @property
+    def image(self) -> str | None:
+        """Name of its image, or None."""
+        return self.box.image
+
+    def in_image(self, file: Path, number: int, size: tuple[int, int] | None, *, scale: bool = False) -> _Box:
+        """The box in pixels of an image of a size."""
+        ratio = np.tile(scale_between(self.size, size, f"{file}: box {number}", scale=scale), 2)
+        return replace(self.box, corners=self.box.corners * ratio)
+
+
+@dataclass(frozen=True)
 class _Relative:
     """A line of YOLO's: number of the class, centre and size of the box in parts of the image, score, track."""
 
@@ -230,7 +329,7 @@ class _Relative:
     score: float | None
     track: int | None
 
-    def in_image(self, file: Path, number: int, size: tuple[int, int] | None) -> _Box:
+    def in_image(self, file: Path, number: int, size: tuple[int, int] | None, *, scale: bool = False) -> _Box:  # noqa: ARG002
         """The box in pixels."""
         if size is None:
             raise InvalidInputError(f"{file}:{number + 1}", "a box in parts of the image", "Give the image's size.")
@@ -287,21 +386,70 @@ def _is_integer(word: str) -> bool:
 
 
 def _yolo_class(file: Path, number: int) -> str:
-    """Name of a class of YOLO's, by `classes.txt` where that is beside the file; its number where it has none."""
-    names = file.parent / _CLASSES
-    if not names.exists():
-        return _YOLO_CLASSES.get(number, str(number))
-    lines = [
-        line.strip() for line in read_text(names, "boxes", "Give the names of the classes, one a line.").splitlines()
-    ]
-    if _CAR not in map(str.lower, lines):
-        raise InvalidInputError(str(names), ", ".join(lines), "Let a line be `car`.")
-    return _word(lines[number]) if number < len(lines) else str(number)
+    """Name of a class of YOLO's: by `classes.txt` beside the file or `data.yaml` above it, else as COCO's have it.
+
+    Raises:
+        InvalidInputError: Neither has a car.
+    """
+    names = _class_names(file.parent)
+    return (_YOLO_CLASSES if names is None else names).get(number, str(number))
+
+
+def _class_names(folder: Path) -> Mapping[int, str] | None:
+    """Names of the classes by their numbers; None where no file says them."""
+    places = (folder / _CLASSES, *(above / _DATA for above in (folder, *folder.absolute().parents[:2])))
+    file = next((path for path in places if path.is_file()), None)
+    return None if file is None else _names_in(file, _changed(file))
+
+
+@lru_cache(maxsize=2)
+def _names_in(file: Path, changed: int) -> Mapping[int, str]:  # noqa: ARG001
+    """The names of classes that a file says; a changed one is read again."""
+    text = read_text(file, "boxes", "Give the names of the classes.")
+    if file.name == _CLASSES:
+        names: Mapping[Any, Any] = dict(enumerate(line.strip() for line in text.splitlines()))
+    else:
+        names = _named_classes(text)
+    if _CAR not in (str(name).lower() for name in names.values()):
+        raise InvalidInputError(str(file), ", ".join(map(str, names.values())), "Let a class be `car`.")
+    return {int(number): _word(name) for number, name in names.items() if str(number).isdecimal()}
+
+
+def _named_classes(text: str) -> Mapping[Any, Any]:
+    """The names of ultralytics' description of a data set, a list or by numbers; nothing where it has none."""
+    import yaml  # on use: hardly anybody has such a file
+
+    try:
+        names = dict(yaml.safe_load(text) or {}).get("names")
+    except (yaml.YAMLError, TypeError, ValueError):
+        return {}
+    return names if isinstance(names, Mapping) else dict(enumerate(names if isinstance(names, list) else []))
 
 
 def _word(name: object) -> str:
     """A class as one word."""
     return "_".join(str(name).split())
+
+
+@lru_cache(maxsize=2)
+def _coco(file: Path, changed: int) -> _Coco:  # noqa: ARG001  # a changed file is read again
+    """The content of a file."""
+    data = read_json(file)
+    entries, pictures, kinds = data, None, None
+    if isinstance(data, Mapping):
+        fields = Fields(data, f"{file}: ")
+        entries = fields.get("annotations", list)
+        if "categories" in fields:
+            kinds = {plain_id(c["id"]): _word(c.get("name")) for c in _entries(fields, "categories") if "id" in c}
+        pictures = _entries(fields, "images") if "images" in fields else []
+    if not isinstance(entries, list):
+        raise InvalidInputError(str(file), type(entries).__name__, _FIX)
+    by_image: dict[int | str | None, list[tuple[int, Fields]]] = defaultdict(list)
+    for number, entry in enumerate(entries):
+        record = Fields(entry, f"{file}: [{number}].")
+        by_image[plain_id(record.data.get("image_id"))].append((number, record))
+    names = {plain_id(one.get("id")): str(one["file_name"]) for one in pictures or () if one.get("file_name")}
+    return _Coco(file, by_image, pictures, kinds, names)
 
 
 @dataclass(frozen=True)
@@ -310,52 +458,39 @@ class _Coco:
 
     Attributes:
         file: The file.
-        entries: The boxes.
+        entries: The boxes with their numbers, by the ids of their images.
         pictures: The images that it lists; None where it is a list of results.
         kinds: Names of the classes by their ids; None where it has none.
-        least_score: Boxes of a lower score are left out.
+        names: Of the images by their ids.
     """
 
     file: Path
-    entries: list[Any]
+    entries: Mapping[int | str | None, Sequence[tuple[int, Fields]]]
     pictures: Sequence[Mapping[str, Any]] | None
     kinds: Mapping[int | str | None, str] | None
-    least_score: float
+    names: Mapping[int | str | None, str]
 
-    @classmethod
-    def of(cls, data: Any, file: Path, least_score: float) -> _Coco:
-        """The content of a file."""
-        entries, pictures, kinds = data, None, None
-        if isinstance(data, Mapping):
-            fields = Fields(data, f"{file}: ")
-            entries = fields.get("annotations", list)
-            if "categories" in fields:
-                kinds = {plain_id(c["id"]): _word(c.get("name")) for c in _entries(fields, "categories") if "id" in c}
-            pictures = _entries(fields, "images") if "images" in fields else []
-        if not isinstance(entries, list):
-            raise InvalidInputError(str(file), type(entries).__name__, _FIX)
-        return cls(file, entries, pictures, kinds, least_score)
-
-    def of_image(self, image: Path, size: tuple[int, int] | None, *, scale: bool) -> FileBoxes:
-        """The boxes of an image."""
+    def of_image(self, image: Path, size: tuple[int, int] | None, least_score: float, *, scale: bool) -> FileBoxes:
+        """The boxes of an image, those of a lower score left out."""
         ids, ratio = self._ids(image), np.ones(4)
         for number, picture in enumerate(self.pictures or ()):
             if plain_id(picture.get("id")) in ids:
                 stated = read_size(Fields(picture, f"{self.file}: images[{number}]."))
                 ratio = np.tile(scale_between(stated, size, f"{self.file}: images[{number}]", scale=scale), 2)
-        found, low, crowds = FileBoxes([]), 0, 0
-        for number, entry in enumerate(self.entries):
-            fields = Fields(entry, f"{self.file}: [{number}].")
-            place, kind = plain_id(fields.data.get("image_id")), self._kind(fields)
-            if place not in ids:
-                found.images[self._name(place)] += 1
-            elif kind.lower() != _CAR:
+        found = FileBoxes([])
+        for place, others in self.entries.items():
+            found.images[self.names.get(place, str(place))] += 0 if place in ids else len(others)
+        low = crowds = 0
+        own = (pair for place in ids for pair in self.entries.get(place, ()))
+        for number, fields in sorted(own, key=itemgetter(0)):
+            kind = self._kind(fields)
+            if kind.lower() != _CAR:
                 found.classes[kind] += 1
             elif fields.data.get("iscrowd") == 1:
                 crowds += 1
             else:
                 score = float(fields.numbers("score", ())) if "score" in fields else None
-                if score is not None and score < self.least_score:
+                if score is not None and score < least_score:
                     low += 1
                     continue
                 x, y, width, height = fields.numbers("bbox", (4,))
@@ -363,14 +498,12 @@ class _Coco:
                 track = plain_id(fields.data.get("track_id"))
                 number_of = track if isinstance(track, int) and track >= 0 else None
                 found.cars.append(NamedBox(str(number), corners, BoxModel.SURFACE, score, number_of, kind))
-        return replace(found, low=low, crowds=crowds)
+        return replace(found, low=low, crowds=crowds, images=+found.images)
 
     def _ids(self, image: Path) -> set[int | str | None]:
         if self.pictures is not None:
             return {plain_id(number) for number in _of_image(self.pictures, image, self.file)}
-        names = {
-            place for entry in self.entries if (place := plain_id(Fields(entry, "").data.get("image_id"))) is not None
-        }
+        names = {place for place in self.entries if place is not None}
         same = of_one_image(map(str, names), image.name)
         return {name for name in names if str(name) in same}
 
@@ -379,11 +512,6 @@ class _Coco:
         number = plain_id(fields.data.get("category_id"))
         known: Mapping[Any, str] = _COCO_CLASSES if self.kinds is None else self.kinds
         return _word(known.get(number, number))
-
-    def _name(self, place: int | str | None) -> str:
-        """An image for an error: its name, or its id."""
-        named = [one.get("file_name") for one in self.pictures or () if plain_id(one.get("id")) == place]
-        return str(named[0] if named and named[0] else place)
 
 
 def _of_image(pictures: Sequence[Mapping[str, Any]], image: Path, file: Path) -> list[Any]:

@@ -12,7 +12,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,10 +123,7 @@ def read_submission(path: Path, images: Path, tables: NuScenesTables) -> Submiss
     Raises:
         InvalidInputError: A file cannot be read or is malformed, or there is none of the images; names file and field.
     """
-    data = read_json(path)
-    results = data.get("results") if isinstance(data, Mapping) else None
-    if not isinstance(results, Mapping) or not all(isinstance(entries, list) for entries in results.values()):
-        raise InvalidInputError(str(path), type(data).__name__, _FIX)
+    data, results = _read(path)
     views = _views(images, tables)
     if not views.keys() & results.keys():
         fix = f"Give images of key frames that {tables.folder / 'sample_data.json'} has for the samples of {path}."
@@ -155,6 +152,47 @@ def read_submission(path: Path, images: Path, tables: NuScenesTables) -> Submiss
                 )
             number += 1
     return Submission(data, tuple(BoxedImage(name, files[name], path, tuple(own)) for name, own in shown.items()))
+
+
+def _read(path: Path) -> tuple[Mapping[str, Any], Mapping[str, list[Any]]]:
+    """The content of a submission, and its entries by sample."""
+    data = read_json(path)
+    results = data.get("results") if isinstance(data, Mapping) else None
+    if not isinstance(results, Mapping) or not all(isinstance(entries, list) for entries in results.values()):
+        raise InvalidInputError(str(path), type(data).__name__, _FIX)
+    return data, results
+
+
+class PlacedBox(NamedTuple):
+    """A box of a submission: kind, score, track or None, (4, 4) centre and axes forward, left, up, and (3,) size."""
+
+    kind: str
+    score: float
+    track: str | None
+    world_T_box: Array
+    size: Array
+
+
+def read_boxes_by_sample(path: Path) -> dict[str, list[PlacedBox]]:
+    """The boxes of a submission of the detection or the tracking task, by sample.
+
+    Raises:
+        InvalidInputError: It cannot be read or is none, or a box is malformed; names file and field.
+    """
+    return {
+        token: [_placed(Fields(entry, f"{path}: results.{token}[{n}].")) for n, entry in enumerate(entries)]
+        for token, entries in _read(path)[1].items()
+    }
+
+
+def _placed(fields: Fields) -> PlacedBox:
+    task = "tracking" if "tracking_name" in fields else "detection"
+    track = fields.get("tracking_id", str) if task == "tracking" else None
+    kind, score = fields.get(f"{task}_name", str), float(fields.numbers(f"{task}_score", ()))
+    size = fields.numbers("size", (3,))[[1, 0, 2]]
+    if not (size > 0.0).all():
+        raise InvalidInputError(f"{fields.where}size", size.tolist(), "Give width, length and height in metres.")
+    return PlacedBox(kind, score, track, pose_of(fields), size)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,55 +14,87 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel, Options, checked_options
-from fgrecon.io.boxes import FileBoxes, NamedBox, boxes_in
+from fgrecon.io.boxes import FileBoxes, NamedBox, boxes_in, names_images
 from fgrecon.perception.keypoints.detect import large_enough
 from fgrecon.perception.protocols import VehicleDetector, find_vehicles
 from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles
 
 
-def boxes_of(
-    image: Path,
-    given: Sequence[ArrayLike],
-    file: Path | None,
-    search: NDArray[Any] | None = None,
-    size: tuple[int, int] | None = None,
-    least_score: float | None = None,
-    *,
-    scale_to_image: bool = False,
-) -> FileBoxes:
-    """The boxes given one by one, those of a file, or those that a detector finds.
+@dataclass(frozen=True)
+class GivenBoxes:
+    """Where the boxes of images' cars are from; where nothing is given, the detector finds them.
 
-    Args:
-        image: The image's file, by whose name a file of many images is searched.
+    Attributes:
         given: Boxes x1, y1, x2, y2 in pixels, of the cars' outlines.
-        file: File of boxes, or None.
-        search: (H, W, 3) the image's pixels, to be searched for cars; or None.
-        size: Width and height of the image, which some files' boxes are parts of; or None.
+        file: File of boxes, or a folder of such, as `fgrecon.io.boxes.boxes_in` takes it; or None.
+        detect: Whether the detector is named, which only goes without the others.
         least_score: Boxes of a lower score are left out; None for what suits their source.
-        scale_to_image: Whether boxes of a file are scaled to the image where it states another size of one shape.
-
-    Raises:
-        InvalidInputError: Several or none of these are given, or there is no car in this image.
     """
-    ways = {"given (--box)": bool(given), "file (--boxes)": file is not None, "search (--detect)": search is not None}
-    if sum(ways.values()) != 1:
-        flags = " and ".join(way for way, used in ways.items() if used) or "nothing"
-        raise InvalidInputError(
-            "box", flags, "Give one of them: boxes (--box), a file (--boxes), or an image to search (--detect)."
-        )
-    if search is not None:
-        found = detected_boxes(search, least_score)
+
+    given: Sequence[ArrayLike] = ()
+    file: Path | None = None
+    detect: bool = False
+    least_score: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse several sources.
+
+        Raises:
+            InvalidInputError: More than one is given.
+        """
+        ways = {"given (--box)": bool(self.given), "file (--boxes)": self.file is not None, "detect": self.detect}
+        if sum(ways.values()) > 1:
+            flags = " and ".join(way for way, used in ways.items() if used)
+            fix = "Give one of them: boxes (--box), a file (--boxes), or nothing, which lets the detector look."
+            raise InvalidInputError("box", flags, fix)
+
+    def check_images(self, count: int) -> None:
+        """Refuse a file that says of no box which image it is in, where there are several.
+
+        Args:
+            count: How many images there are.
+
+        Raises:
+            InvalidInputError: It does not, or cannot be read.
+        """
+        if self.file is not None and count > 1 and not names_images(self.file):
+            fix = "Give a folder with a file for each, or boxes that name their image (COCO, CSV, lines of detections)."
+            raise InvalidInputError("boxes", f"{self.file}, of one image, for {count} images", fix)
+
+    def of_image(self, image: Path, pixels: NDArray[Any], *, scale_to_image: bool = False) -> FileBoxes:
+        """The cars of an image.
+
+        Args:
+            image: The image's file, by whose name a file of many images is searched.
+            pixels: (H, W, 3).
+            scale_to_image: Whether boxes of a file are scaled to the image where it states another size of one shape.
+
+        Raises:
+            InvalidInputError: A box or the file cannot be used, or there is no car in this image.
+        """
+        if self.file is not None:
+            boxes = self.in_file(image, pixels, scale_to_image=scale_to_image)
+            if not boxes.cars:
+                fix = f"Give a file with a car in image {image.stem}; {boxes.left_out}."
+                raise InvalidInputError("boxes", str(self.file), fix)
+            return boxes
+        if self.given:
+            corners = [as_finite(f"box[{number}]", box, (4,)) for number, box in enumerate(self.given)]
+            return FileBoxes([NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(corners)])
+        found = detected_boxes(pixels, self.least_score)
         if not found:
             raise InvalidInputError("detect", str(image), "No car was found in it; give its box (`given`, --box).")
         return FileBoxes(found)
-    if file is None:
-        corners = [as_finite(f"box[{number}]", box, (4,)) for number, box in enumerate(given)]
-        return FileBoxes([NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(corners)])
-    place = str(image.absolute().parent / image.stem)
-    boxes = boxes_in(file, place, size, least_score, scale_to_image=scale_to_image)
-    if not boxes.cars:
-        raise InvalidInputError("boxes", str(file), f"Give a file with a car in image {image.stem}; {boxes.left_out}.")
-    return boxes
+
+    def in_file(self, image: Path, pixels: NDArray[Any], *, scale_to_image: bool = False) -> FileBoxes:
+        """What the file has for an image, which may be no car; the arguments are those of `of_image`.
+
+        Raises:
+            InvalidInputError: The file cannot be used.
+        """
+        assert self.file is not None
+        place, size = str(image.absolute().parent / image.stem), (pixels.shape[1], pixels.shape[0])
+        return boxes_in(self.file, place, size, self.least_score, scale_to_image=scale_to_image)
 
 
 def detected_boxes(image: NDArray[Any], least_score: float | None = None) -> list[NamedBox]:
@@ -73,9 +105,13 @@ def detected_boxes(image: NDArray[Any], least_score: float | None = None) -> lis
     Raises:
         InvalidInputError: The image is none, or this installation has no detector.
     """
-    detector = None if least_score is None else partial(NanodetVehicleDetector(), least_score=least_score)
-    found = large_vehicles(image, NanodetVehicleDetector() if detector is None else detector)
-    kinds = found.kinds or (None,) * len(found.boxes)
+    return boxes_by(NanodetVehicleDetector(), image, least_score)
+
+
+def boxes_by(detector: NanodetVehicleDetector, image: NDArray[Any], least_score: float | None = None) -> list[NamedBox]:
+    """The same by a detector that is loaded."""
+    found = large_vehicles(image, detector if least_score is None else partial(detector, least_score=least_score))
+    kinds = found.kinds or ("Car",) * len(found.boxes)  # what it looks for
     rows = enumerate(zip(found.boxes, found.scores.tolist(), kinds, strict=True))
     return [NamedBox(str(n), box, BoxModel.DETECTED, score, kind=kind) for n, (box, score, kind) in rows]
 

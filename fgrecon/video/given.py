@@ -6,6 +6,9 @@
 | `.txt` | MOT's lines `frame,id,x,y,w,h,score,...`: boxes; the id -1 is none. With a class (nine columns), cars alone |
 | `.json` | a keypoint file whose instances name their `frame`, or an `image`; and a `track` |
 | `.json` | a track file: one vehicle |
+| folder | a file of boxes for each image, of its name (YOLO's `class x y w h [score] id`, KITTI's, CSV); of a video |
+| | `NAME_1.txt` for its first frame, as ultralytics writes them, else the number of the frame |
+| `.csv` | boxes that name their images |
 
 An `image` is that of the frames whose name it has, where these are images whose names tell no numbers; else the last
 number of its name is its frame's. Where there are no frames but the file's, they are found by the names of the images
@@ -18,14 +21,18 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
+from operator import and_
 from pathlib import Path
 
 import numpy as np
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
+from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around
+from fgrecon.io.boxes import ENDINGS, boxes_in
 from fgrecon.io.frame_names import frames_by_name, number_of
 from fgrecon.io.frames import FrameSource, ImageFrames
 from fgrecon.io.image_size import scale_between
@@ -44,7 +51,7 @@ _REGION = "dontcare"  # KITTI's areas without labels
 _LARGEST_ID = 2**62  # ids that are given anew go on from the largest, and tables have 64 bits for them
 
 _MOT_COLUMNS, _MOT_LABEL_COLUMNS, _MOT_CAR = 6, 9, 3
-_FORMATS = "KITTI's tracking lines, MOT's (class 3 where they tell classes) or a keypoint file"
+_FORMATS = "KITTI's tracking lines, MOT's (class 3 where they tell classes), a file for each image or a keypoint file"
 _MOT_FIX = (
     "Give MOT's lines: frame,id,x,y,w,h with a score or more behind it, x and y of the upper left corner in pixels."
 )
@@ -63,6 +70,7 @@ class Given:
         cuboids: Whether the boxes enclose projected 3D boxes, as KITTI's do; else outlines.
         times: Seconds of the frames, by number; None where the file tells none.
         left_out: How many boxes of other types the file has, by type.
+        kinds: The types that are taken.
     """
 
     vehicles: Mapping[int, tuple[Sighting, ...]]
@@ -70,6 +78,7 @@ class Given:
     cuboids: bool
     times: _Times | None = None
     left_out: Mapping[str, int] = field(default_factory=dict)
+    kinds: tuple[str, ...] = KINDS
 
     @property
     def largest_id(self) -> int:
@@ -114,23 +123,73 @@ def read_given(path: Path, category: Category, *, forget_ids: bool = False, sour
         InvalidInputError: The file has another format, an instance names no frame, or an id is too large or twice in
             one; names it.
     """
-    by_frame: dict[int, list[Sighting]] = defaultdict(list)
-    is_json = path.suffix.lower() == ".json"
-    is_mot = not is_json and _is_mot(path)
     left_out: Counter[str] = Counter()
-    if is_json:
+    kinds: tuple[str, ...] = KINDS
+    cuboids, camera, times = False, None, None
+    if path.is_dir() or path.suffix.lower() == ".csv":
+        rows, cuboids = _of_images(path, source, left_out)
+        kinds = KINDS[:1]
+    elif path.suffix.lower() == ".json":
         rows, camera, times = _keypoints(path, category, source)
+    elif _is_mot(path):
+        rows = _mot(path, source, left_out)
     else:
-        rows, camera, times = _mot(path, source, left_out) if is_mot else _boxes(path, left_out), None, None
+        rows, cuboids = _boxes(path, left_out), True
+    by_frame: dict[int, list[Sighting]] = defaultdict(list)
     for number, sighting in rows:
         by_frame[number].append(replace(sighting, identity=None) if forget_ids else sighting)
     for number, sightings in by_frame.items():
         _check_ids([s.identity for s in sightings if s.identity is not None], f"{path}: frame {number}")
     if not by_frame:
         value = f"{path} with {in_words(left_out)}" if left_out else str(path)
-        raise InvalidInputError("tracks", value, f"Give a file with a vehicle: {' or '.join(KINDS)}; {_FORMATS}.")
+        raise InvalidInputError("tracks", value, f"Give a file with a vehicle: {' or '.join(kinds)}; {_FORMATS}.")
     vehicles = {number: tuple(sightings) for number, sightings in by_frame.items()}
-    return Given(vehicles, camera, not (is_json or is_mot), times, left_out)
+    return Given(vehicles, camera, cuboids, times, left_out, kinds)
+
+
+def _of_images(path: Path, source: FrameSource | None, left_out: Counter[str]) -> tuple[_Rows, bool]:
+    """The boxes of a folder with a file for each image, or of a CSV that names them; and whether they are of cuboids.
+
+    Raises:
+        InvalidInputError: There are no images, or a file cannot be used.
+    """
+    first = None if source is None else next((f.image for f in source.read() if f.image is not None), None)
+    if source is None or first is None:
+        raise InvalidInputError("tracks", str(path), "Give images or a video whose frames these boxes are of.")
+    rows, cuboids, others = [], False, []
+    names = _images_of_frames(path, source)
+    for number, image in names.items():
+        found = boxes_in(path, image, (first.shape[1], first.shape[0]), least_score=0.0)
+        left_out.update({kind: count for kind, count in found.classes.items() if kind.lower() != _REGION})
+        others.append(found.images)
+        cuboids |= any(one.model is BoxModel.CUBOID for one in found.cars)
+        for one in found.cars:
+            score, kind = 1.0 if one.score is None else one.score, None if one.kind is None else one.kind.capitalize()
+            rows.append((number, Sighting(one.corners, score, one.track, None, kind)))
+    if elsewhere := sum(reduce(and_, others, others[0]).values() if others else ()):  # of no image among the frames
+        left_out["of images that are no frames"] += elsewhere
+    return rows, cuboids
+
+
+def _images_of_frames(path: Path, source: FrameSource) -> dict[int, str]:
+    """What boxes call the image of each frame, without ending.
+
+    Raises:
+        InvalidInputError: Nothing tells which frame of a video a file is of.
+    """
+    if isinstance(source, ImageFrames) and not (source.numbered and path.is_dir()):
+        named = zip(source.numbers, source.paths, strict=True)
+        return {number: str(file.absolute().parent / file.stem) for number, file in named}
+    if not path.is_dir():
+        raise InvalidInputError("tracks", str(path), f"Give images that it names; of a video {_FORMATS}.")
+    video = "" if isinstance(source, ImageFrames) else f"{source.first_file.stem}_"
+    found = {}
+    for stem in sorted(file.stem for file in path.iterdir() if file.suffix.lower() in ENDINGS):
+        of_video = bool(video) and stem.startswith(video)  # ultralytics counts a video's frames from 1
+        number = number_of(stem.removeprefix(video) if of_video else stem)
+        if number is not None:
+            found[number - of_video] = stem
+    return found
 
 
 def in_words(counts: Mapping[str, int]) -> str:

@@ -59,7 +59,7 @@ from fgrecon.video.coverage import check_coverage, planned_frames
 from fgrecon.video.focal import estimate_camera
 from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector
-from fgrecon.video.given import KINDS, Given, in_words, read_given
+from fgrecon.video.given import Given, in_words, read_given
 from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import FrameRecord
 from fgrecon.video.rows import frame_lines, rows_of, tracking_text
@@ -198,7 +198,8 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
             f"No frame rate (`fps`, --fps) is given: {DEFAULT_RATE:g} frames per second are assumed; speeds go with it."
         )
     if given is not None and given.left_out:
-        warn(f"{request.tracks}: {in_words(given.left_out)} are left out, since they are no {' or '.join(KINDS)}.")
+        taken = " and ".join(given.kinds)
+        warn(f"{request.tracks}: {in_words(given.left_out)} are left out; {taken} of the frames are taken.")
     source_has = BoxModel.DETECTED if given is None else BoxModel.CUBOID if given.cuboids else BoxModel.SURFACE
     box = replace(options.box, model=request.box_model or source_has)
     settings = replace(request.settings, options=replace(options, box=box))

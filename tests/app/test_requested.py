@@ -29,7 +29,6 @@ def test_settings_and_source():
     assert settings.options.keypoints.least_confidence == 0.2
     assert source.distortion == [0.1, 0, 0, 0]
     assert requested.boxes() == [[1, 2, 30, 40], [5, 6, 70, 80]]
-    assert not requested.shares_ground(of_image=True)
 
 
 @pytest.mark.parametrize(

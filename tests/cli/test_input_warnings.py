@@ -73,6 +73,33 @@ def test_images_of_a_track(tmp_path, cars):
     assert "Warning: track: Most keypoints of " in " ".join(run("track", tmp_path / "track.json").stderr.split())
 
 
+PAIRS = dict([*CATEGORY.symmetric_pairs, *((b, a) for a, b in CATEGORY.symmetric_pairs)])
+
+
+def mirrored(points):
+    """Left and right exchanged."""
+    return points[[PAIRS.get(k, k) for k in range(len(points))]]
+
+
+def test_a_track_is_warned_of_once_and_does_not_converge(tmp_path):
+    """Left and right exchanged in all of its images, and a principal point outside of them."""
+    assert run("sample", "--out", tmp_path / "sample", "-q").exit_code == 0
+    track = json.loads((tmp_path / "sample" / "TRACK.json").read_text())
+    for frame in track["frames"]:
+        for name in ("keypoints_uv", "confidence"):
+            frame[name] = mirrored(np.array(frame[name], dtype=float)).tolist()
+    (tmp_path / "mirrored.json").write_text(json.dumps(track))
+    done = run("track", tmp_path / "mirrored.json")
+    said = " ".join(done.stderr.split())
+    assert said.count("Warning") == 1
+    assert "left and right" in said
+    assert "mirrored: weak" in done.stdout
+    done = run("track", tmp_path / "sample/cars.json", "--intrinsics", "721.5,721.5,172.9,609.6")
+    said = " ".join(done.stderr.split())
+    assert said.count("Warning") == 1
+    assert "principal point" in said
+
+
 @pytest.fixture
 def many(tmp_path, cars):
     """A file of nine vehicles in nine frames, the keypoints of all of them changed."""
@@ -90,6 +117,37 @@ def many(tmp_path, cars):
         return tmp_path / name
 
     return make
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_contradictions_of_a_whole_file_through_batch(tmp_path, many, cars, jobs):
+    instances = [
+        {"id": name, "keypoints": np.nan_to_num(mirrored(rows)).tolist(), "box": box.tolist()}
+        for name, rows, box in cars
+    ]
+    file = tmp_path / "mirrored.json"
+    file.write_text(json.dumps({"K": K, "image_size": [1242, 375], "instances": instances}))
+    said = said_by("batch", file, "--out", tmp_path / "mirrored", "--jobs", jobs)
+    assert said.count("Warning") == 1
+    assert "left and right" in said
+    rows = pq.read_table(tmp_path / "mirrored").to_pylist()
+    assert "converged" not in {row["status"] for row in rows}
+    assert {row["doubt"] for row in rows} == {"mirrored"}
+    intrinsics = ("--intrinsics", "721.5,721.5,172.9,609.6")
+    said = said_by("batch", many(lambda points: points), *intrinsics, "--out", tmp_path / "camera", "--jobs", jobs)
+    assert said.count("Warning") == 1
+    assert "principal point" in said
+    assert "converged" not in pq.read_table(tmp_path / "camera").column("status").to_pylist()
+
+
+def test_a_camera_that_contradicts_images_through_batch(tmp_path, cars):
+    assert run("sample", "--out", tmp_path / "sample", "-q").exit_code == 0
+    intrinsics = ("--intrinsics", "721.5,721.5,172.9,609.6")
+    done = run("batch", tmp_path / "sample/street.png", *intrinsics, "--out", tmp_path / "out")
+    said = " ".join(done.stderr.split())
+    assert said.count("Warning") == 1
+    assert "principal point" in said
+    assert "converged" not in pq.read_table(tmp_path / "out").column("status").to_pylist()
 
 
 CHANGES = [

@@ -392,7 +392,7 @@ def test_kind_and_score_of_a_detector_come_back_in_exports(write, instance, tmp_
     batched = tmp_path / "batch"
     again = CliRunner().invoke(main.app, ["batch", str(write(told)), INTRINSICS, "--out", str(batched)])
     assert again.exit_code == 0
-    for results, kinds in ((out, ["Van", "Car"]), (batched, ["Car", "Car"])):  # tables have no kind
+    for results, kinds in ((out, ["Van", "Car"]), (batched, ["Van", "Car"])):
         exported = CliRunner().invoke(main.app, ["export", str(results), str(tmp_path / "kitti.txt")])
         assert exported.exit_code == 0, exported.output
         lines = [line.split() for line in (tmp_path / "kitti.txt").read_text().splitlines()]

@@ -3,10 +3,12 @@
 import csv
 import json
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
+from fgrecon.io.video import write_video
 from tests.video.streets import make_drive
 
 INTRINSICS = ("--intrinsics", "721.5,721.5,609.6,172.9")
@@ -126,3 +128,58 @@ def test_keypoints_of_a_smaller_picture_are_refused_or_scaled(drive, tmp_path):
     for one, other in zip(*found, strict=True):
         assert float(one["x"]) == pytest.approx(float(other["x"]), abs=0.1)
         assert float(one["z"]) == pytest.approx(float(other["z"]), abs=0.3)
+
+
+def yolo(folder, names, kind=2):
+    """A folder with a car, of track 7, for each name."""
+    folder.mkdir()
+    for name in names:
+        (folder / f"{name}.txt").write_text(f"{kind} 0.45 0.57 0.1 0.19 0.8 7\n0 0.2 0.5 0.1 0.1 0.9 3\n")
+    return folder
+
+
+def tracked(out):
+    with (out / "tracks.csv").open(newline="") as file:
+        return [(row["frame"], row["id"], row["kind"], row["score"]) for row in csv.DictReader(file)]
+
+
+def test_a_folder_of_yolos_is_tracked_by_its_ids(drive, tmp_path):
+    given = ("--tracks", yolo(tmp_path / "labels", ("000003", "000004", "000005")), *INTRINSICS, "--fps", 10)
+    done = run(drive[0], *given, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert tracked(tmp_path / "out") == [(n, "7", "Car", "0.8") for n in "345"]
+    assert "3 person are left out; Car of the frames are taken" in done.stderr
+
+
+def test_a_table_of_boxes_is_tracked_and_other_images_are_said(drive, tmp_path):
+    names = sorted(path.name for path in drive[0].iterdir())
+    rows = [f"{name},car,0.8,500,180,620,250,7" for name in [*names, "000009.png"]]
+    (tmp_path / "boxes.csv").write_text("\n".join(["image,class,score,x1,y1,x2,y2,track_id", *rows]) + "\n")
+    done = run(drive[0], "--tracks", tmp_path / "boxes.csv", *INTRINSICS, "--fps", 10, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert tracked(tmp_path / "out") == [(n, "7", "Car", "0.8") for n in "345"]
+    assert "1 of images that are no frames" in done.stderr
+
+
+def test_a_folder_counted_from_another_number_is_warned_of_or_refused(drive, tmp_path):
+    given = (*INTRINSICS, "--fps", 10, "--out", tmp_path / "out")
+    done = run(drive[0], "--tracks", yolo(tmp_path / "from4", ("000004", "000005", "000006")), *given)
+    assert "Do they count from 4 instead of 3?" in done.stderr
+    done = run(drive[0], "--tracks", yolo(tmp_path / "far", ("000101", "000102")), *given)
+    assert "vehicles in frames 101 to 102" in str(done.exception)
+    done = run(drive[0], "--tracks", yolo(tmp_path / "trucks", ("000003",), kind=7), *given)
+    assert "with 1 person, 1 truck" in str(done.exception)
+
+
+def test_ultralytics_counts_frames_of_a_video_from_one(tmp_path):
+    from fgrecon.io.catalogue import load_category
+    from fgrecon.video import open_frames, read_given
+
+    video = tmp_path / "street.mp4"
+    with write_video(video, rate=10) as add:
+        for number in range(3):
+            add(np.full((48, 64, 3), 80 * number, np.uint8), 0.1 * number)
+    given = read_given(
+        yolo(tmp_path / "labels", ("street_1", "street_3")), load_category("car14"), source=open_frames(str(video))
+    )
+    assert {number: [one.identity for one in some] for number, some in given.vehicles.items()} == {0: [7], 2: [7]}

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.options import BoxModel
 from fgrecon.io.boxes import boxes_in, read_boxes
-from fgrecon.perception.boxes import boxes_of
+from fgrecon.perception.boxes import GivenBoxes
 
 from .formats import spoilt, write
 from .test_cameras import nuscenes
 
+PIXELS = np.zeros((100, 100, 3), np.uint8)
 SIZE = 1000, 400
 OBJECT = "Car 0 0 -1.57 10.0 20.0 30.0 40.0 1.5 1.6 4.0 1 2 20 1.5"
 
@@ -51,8 +52,12 @@ def test_a_file_for_each_image(tmp_path):
     write(tmp_path / "b.json", [{"image_id": "b", "category_id": 3, "bbox": [1, 2, 3, 4], "score": 0.9}])
     assert len(read_boxes(tmp_path, "a", SIZE)) == 1
     assert read_boxes(tmp_path, "b", SIZE)[0].corners.tolist() == [1, 2, 4, 6]
-    with pytest.raises(InvalidInputError, match="boxes"):
-        read_boxes(tmp_path, "c", SIZE)
+    assert boxes_in(tmp_path, "c", SIZE).left_out == "the folder has no file for it"
+    with pytest.raises(InvalidInputError, match="has no file for it"):
+        GivenBoxes(file=tmp_path).of_image(tmp_path / "c.png", PIXELS)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InvalidInputError, match=r"file .* for each image"):
+        read_boxes(tmp_path / "empty", "a", SIZE)
 
 
 def coco_of(*names, **more):
@@ -77,7 +82,7 @@ def test_images_of_one_name_are_told_apart_by_their_folders_or_refused(tmp_path)
     for image, left in (("B/left/1", 2), ("/data/A/left/1", 1), ("12", 3)):
         (box,) = read_boxes(path, image)
         assert box.corners[0] == left
-    (box,) = boxes_of(tmp_path / "B/left/1.jpg", [], path).cars
+    (box,) = GivenBoxes(file=path).of_image(tmp_path / "B/left/1.jpg", PIXELS).cars
     assert box.corners[0] == 2
     for image in ("1", "left/1", "C/left/1"):
         with pytest.raises(InvalidInputError, match=r"got 1, which is A/left/1\.jpg and B/left/1\.jpg"):
@@ -226,7 +231,7 @@ def test_where_there_is_no_car_it_is_said_what_there_is(tmp_path):
     ]
     path = write(tmp_path / "r.json", entries)
     with pytest.raises(InvalidInputError) as caught:
-        boxes_of(tmp_path / "000000.png", [], path)
+        GivenBoxes(file=path).of_image(tmp_path / "000000.png", PIXELS)
     for part in ("1 with a score below", "1 of other classes (bicycle)", "2 of other images (4, 5)"):
         assert part in caught.value.fix
 
@@ -256,3 +261,52 @@ def test_boxes_of_a_resized_picture_are_refused_or_scaled(tmp_path):
     assert read_boxes(stated(500, 200), "a", SIZE, scale_to_image=True)[0].corners.tolist() == [2, 4, 8, 12]
     with pytest.raises(InvalidInputError, match="640 x 640"):
         read_boxes(stated(640, 640), "a", SIZE, scale_to_image=True)
+
+
+CSV_HEADINGS = {
+    "image,class,score,x1,y1,x2,y2,track": "a.png,car,0.75,10,20,110,70,7",
+    "x_min,y_min,x_max,y_max,class_id,confidence,tracker_id,file_name": "10,20,110,70,2,0.75,7,folder/a.png",
+    "filename,width,height,class,xmin,ymin,xmax,ymax,confidence,track_id": "a.png,1000,400,Car,10,20,110,70,0.75,7",
+    "Image, Label, Conf, X, Y, W, H, Track ID": "a,car,0.75,10,20,100,50,7.0",
+    "xmin,ymin,xmax,ymax,confidence,class,name,track": "10.0,20.0,110.0,70.0,0.75,2,car,7",
+}
+
+
+@pytest.mark.parametrize("heading", CSV_HEADINGS)
+def test_boxes_of_csv_files(tmp_path, heading):
+    path = write(tmp_path / "boxes.csv", f"{heading}\n{CSV_HEADINGS[heading]}\n\n")
+    (box,) = read_boxes(path, "a", SIZE)
+    assert box.corners.tolist() == [10, 20, 110, 70]
+    assert (box.kind.lower(), box.score, box.track, box.model) == ("car", 0.75, 7, BoxModel.SURFACE)
+    assert bool(read_boxes(path, "b", SIZE)) == ("name" in heading and "file" not in heading), "of any image"
+
+
+def test_what_is_wrong_with_a_csv_file(tmp_path):
+    with pytest.raises(InvalidInputError, match=r"b\.csv:1: got image,u,v"):
+        read_boxes(write(tmp_path / "b.csv", "image,u,v\na,1,2\n"), "a", SIZE)
+    for row in ("a,1,2,3", "a,1,2,x,4", "a,5,2,3,4", "a,1,2,nan,4"):
+        with pytest.raises(InvalidInputError, match=r"b\.csv:3: got a,"):
+            read_boxes(write(tmp_path / "b.csv", f"image,x1,y1,x2,y2\na,1,2,3,4\n{row}\n"), "a", SIZE)
+    stated = write(tmp_path / "b.csv", "filename,width,height,class,xmin,ymin,xmax,ymax\na,500,200,car,1,2,3,4\n")
+    with pytest.raises(InvalidInputError, match="500 x 200"):
+        read_boxes(stated, "a", SIZE)
+    assert read_boxes(stated, "a", SIZE, scale_to_image=True)[0].corners.tolist() == [2, 4, 6, 8]
+
+
+@pytest.mark.parametrize("names", ["[person, car]", "{0: person, 1: Car}", "\n  0: person\n  1: car"])
+def test_classes_of_a_data_set_of_yolos(tmp_path, names):
+    (tmp_path / "train/labels").mkdir(parents=True)
+    write(tmp_path / "data.yaml", f"path: .\nnames: {names}\n")
+    write(tmp_path / "train/labels/a.txt", "1 0.5 0.5 0.1 0.1 0.75 3\n0 0.5 0.5 0.1 0.1\n")
+    found = boxes_in(tmp_path / "train/labels", "a", SIZE)
+    assert [(box.kind.lower(), box.score, box.track) for box in found.cars] == [("car", 0.75, 3)]
+    assert found.reasons == {"of other classes (person)": 1}
+
+
+def test_boxes_of_one_image_are_not_those_of_several(tmp_path):
+    path = write(tmp_path / "a.txt", "2 0.5 0.5 0.1 0.1")
+    GivenBoxes(file=path).check_images(1)
+    GivenBoxes(file=tmp_path).check_images(2)
+    GivenBoxes(file=write(tmp_path / "d.txt", "a.png car 0.9 1 2 3 4")).check_images(2)
+    with pytest.raises(InvalidInputError, match="of one image, for 2 images"):
+        GivenBoxes(file=path).check_images(2)

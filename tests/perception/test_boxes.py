@@ -9,22 +9,23 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel, BoxOptions, Options
 from fgrecon.io.boxes import read_boxes
 from fgrecon.perception import boxes as module
-from fgrecon.perception.boxes import boxes_of, detected_boxes, for_detected
+from fgrecon.perception.boxes import GivenBoxes, detected_boxes, for_detected
 from fgrecon.perception.vehicles import Vehicles
 
+PIXELS = np.zeros((100, 100, 3), np.uint8)
 LABEL = "0.00 0 1.5 10.0 20.0 30.0 40.0 1.5 1.6 4.0 1 2 20 1.5"
 
 
 def test_given_boxes_are_outlines(tmp_path):
-    (box,) = boxes_of(tmp_path / "a.png", [[1, 2, 30, 40]], None).cars
+    (box,) = GivenBoxes([[1, 2, 30, 40]]).of_image(tmp_path / "a.png", PIXELS).cars
     assert (box.name, box.model) == ("0", BoxModel.SURFACE)
     np.testing.assert_array_equal(box.corners, [1, 2, 30, 40])
 
 
 def test_either_boxes_or_a_file(tmp_path):
-    for given, file in (([], None), ([[1, 2, 3, 4]], tmp_path / "b.txt")):
+    for ways in ({"detect": True}, {"given": [[1, 2, 3, 4]]}):
         with pytest.raises(InvalidInputError, match="box"):
-            boxes_of(tmp_path / "a.png", given, file)
+            GivenBoxes(file=tmp_path / "b.txt", **ways)
 
 
 def test_detected_cars_are_outlines_and_large_enough_for_keypoints(monkeypatch):
@@ -53,14 +54,14 @@ def test_boxes_of_low_score_are_left_out_where_asked(tmp_path, monkeypatch):
     detections.write_text("".join(f"a.png 2 {score} 1 2 3 4\n" for score in (0.2, 0.6, 0.9)))
     for file, counts in ((kitti, (3, 3, 2)), (coco, (3, 4, 2)), (yolo, (2, 3, 1)), (detections, (2, 3, 1))):
         for least, count in zip((None, 0.1, 0.7), counts, strict=True):
-            assert len(boxes_of(tmp_path / "a.png", [], file, size=(100, 100), least_score=least).cars) == count
+            assert len(GivenBoxes(file=file, least_score=least).of_image(tmp_path / "a.png", PIXELS).cars) == count
     asked = []
     found = Vehicles(np.array([[10.0, 10, 90, 60]]), np.ones(1))
     monkeypatch.setattr(
         module, "NanodetVehicleDetector", lambda: lambda image, least_score=None: asked.append(least_score) or found
     )
     for least in (None, 0.3):
-        boxes_of(tmp_path / "a.png", [], None, np.zeros((100, 100, 3), np.uint8), least_score=least)
+        GivenBoxes(least_score=least).of_image(tmp_path / "a.png", PIXELS)
     assert asked == [None, 0.3]
 
 
@@ -78,7 +79,7 @@ def test_detections_of_the_image_alone(tmp_path):
     file.write_text("\n".join([*lines, "x/000004.png 2 0.9 5 6 7 8"]))
     assert [box.corners.tolist() for box in read_boxes(file, "000003")] == [[1, 2, 3, 4]]
     with pytest.raises(InvalidInputError, match="car in image 000009"):
-        boxes_of(tmp_path / "000009.png", [], file)
+        GivenBoxes(file=file).of_image(tmp_path / "000009.png", PIXELS)
 
 
 def test_detections_of_an_image_whose_name_has_spaces_and_of_unknown_classes(tmp_path):

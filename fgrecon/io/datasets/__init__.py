@@ -23,6 +23,7 @@ from fgrecon.io.datasets.description import (
     images_there,
 )
 from fgrecon.io.kitti_drives import Drive, has_labels, read_drive, read_images
+from fgrecon.io.kitti_files import Objects
 
 __all__ = [
     "NAMES",
@@ -38,6 +39,7 @@ __all__ = [
     "open_images",
     "open_sequence",
     "open_video",
+    "submitted_boxes",
 ]
 
 NAMES = "nuscenes", "argoverse2", "kitti360", "waymo", "cityscapes3d"
@@ -111,6 +113,25 @@ def open_video(source: str | Path) -> Drive:
     if not found.continuous:
         raise InvalidInputError("drive", str(source), "Give images that follow one another; these are each by itself.")
     return drive_of(found, camera)
+
+
+def submitted_boxes(path: Path, source: str | Path) -> dict[int, Objects]:
+    """The boxes of a submission of nuScenes in the images of a camera, by frame, of the samples that it speaks of.
+
+    Args:
+        path: JSON of the detection or the tracking task.
+        source: The camera, as `open_drive` takes it.
+
+    Raises:
+        InvalidInputError: The source is none of nuScenes, or the file cannot be read or has none of its samples.
+    """
+    from fgrecon.io.datasets import nuscenes
+
+    if not nuscenes.READER.matches(_split(source)[0]):
+        raise InvalidInputError("results", str(path), "Give a camera of nuScenes for boxes of nuScenes.")
+    sequence, camera = open_sequence(source)
+    frames = drive_of(nuscenes.submitted(path, sequence), camera).frames
+    return {frame.number: frame.objects for frame in frames if frame.labelled}
 
 
 def has_drive(source: str | Path) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.nuscenes import NuScenesTables, is_nuscenes, open_nuscenes, pose_of
+from fgrecon.io.nuscenes_detections import read_boxes_by_sample
 
 Array = NDArray[np.float64]
 
@@ -73,6 +75,30 @@ def _read(name: str, tables: NuScenesTables) -> DataSequence:
         for t, s in samples.items()
     }
     return DataSequence(name, tuple(images), moments, _CARS)
+
+
+def submitted(path: Path, drive: DataSequence) -> DataSequence:
+    """A scene with the boxes of a submission of the detection or the tracking task in place of its labels.
+
+    Args:
+        path: The submission; samples that it does not have are not labelled.
+        drive: The scene.
+
+    Raises:
+        InvalidInputError: It cannot be read, is none, a box is malformed, or it has none of the scene's samples.
+    """
+    results = read_boxes_by_sample(path)
+    moments = {}
+    for token in drive.moments.keys() & results.keys():
+        boxes = tuple(
+            WorldBox(f"{token}/{number}", box.kind, box.world_T_box, box.size, box.track, score=box.score)
+            for number, box in enumerate(results[token])
+        )
+        moments[token] = replace(drive.moments[token], boxes=boxes)
+    if not moments:
+        raise InvalidInputError("results", str(path), f"Give boxes of the samples of {drive.name}.")
+    images = tuple(replace(one, moment=one.moment if one.moment in moments else None) for one in drive.images)
+    return replace(drive, images=images, moments=moments, cars={"car": "Car"})
 
 
 def _image(

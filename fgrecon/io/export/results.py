@@ -93,6 +93,7 @@ class NamedResult:
         kind: What it is by its detector, such as `Van`, or None.
         score: How sure its detector is, or None.
         velocity: (3,) along the world's axes, m/s, or None.
+        track: Id that a tracker gave it, or None.
     """
 
     name: str
@@ -106,6 +107,7 @@ class NamedResult:
     kind: str | None = None
     score: float | None = None
     velocity: NDArray[np.float64] | None = None
+    track: int | None = None
 
     __repr__ = brief_repr
 
@@ -191,7 +193,7 @@ def _named(
 ) -> NamedResult:
     """A vehicle of an image."""
     result = surfaces.complete(Reconstruction.from_dict(entry["result"]))
-    box, labelled = entry.get("box"), entry.get("location_in_label_frame")
+    box, labelled, track = entry.get("box"), entry.get("location_in_label_frame"), entry.get("track")
     return NamedResult(
         name=str(entry["id"]),
         result=result,
@@ -202,6 +204,7 @@ def _named(
         ground=grounds.get(image, grounds[None]),
         kind=entry.get("kind"),
         score=entry.get("score"),
+        track=track if isinstance(track, int) else None,
     )
 
 

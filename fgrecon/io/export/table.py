@@ -33,7 +33,7 @@ def csv_text(results: Sequence[NamedResult]) -> str:
     Raises:
         InvalidInputError: The vehicles are of different categories or priors: their columns differ.
     """
-    rows = [item.result.to_row(item.name) for item in results]
+    rows = [_row(item, flat=True) for item in results]
     if any(list(row) != list(rows[0]) for row in rows):
         raise InvalidInputError("results", "of different priors", "Write a table for each, or Parquet.")
     return csv_of_rows(rows)
@@ -63,16 +63,29 @@ def _harmless(value: Any) -> Any:
 def parquet_bytes(results: Sequence[NamedResult]) -> bytes:
     """Parquet with lists for arrays, flattened row by row.
 
-    Scalars: id, status, message, category, prior; rotation_y in radians; x, y, z of the origin in the camera frame and
-    length, width, height in metres; the standard deviations of the pose's rotation (largest axis, radians) and
+    Scalars: id; image, kind, score, track, and x1, y1, x2, y2 of the 2D box in pixels, empty where not known; status,
+    message, category, prior; rotation_y in radians; x, y, z of the origin in the camera frame and length, width, height
+    in metres; the standard deviations of the pose's rotation (largest axis, radians) and
     translation (largest axis, metres), empty where not determined. Lists: camera_T_object (16), coefficients, keypoint
     names, wireframe (3 per keypoint), wireframe_uv (2 per keypoint), weights, visibility.
     """
     import pyarrow.parquet as pq
 
     sink = io.BytesIO()
-    pq.write_table(as_arrow([item.result.to_row(item.name, flat=False) for item in results]), sink)
+    pq.write_table(as_arrow([_row(item, flat=False) for item in results]), sink)
     return sink.getvalue()
+
+
+def _row(item: NamedResult, *, flat: bool) -> dict[str, Any]:
+    """The row of a vehicle: what was given of it behind its id, then the result's columns."""
+    corners = (None,) * 4 if item.box is None else item.box.tolist()
+    given = {"image": item.image or None, "kind": item.kind, "score": item.score, "track": item.track}
+    return {
+        "id": item.name,
+        **given,
+        **dict(zip(("x1", "y1", "x2", "y2"), corners, strict=True)),
+        **item.result.to_row(item.name, flat=flat),
+    }
 
 
 @contextmanager

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.robust import RobustStrategy, StrategyName, strategy
@@ -197,6 +198,7 @@ def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -
 
 
 def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | None = None) -> Method:
+    @summed_up()  # what an evaluation solves is measured, not doubted
     def result_of(
         scene: SceneKnowledge, observation: Observation, camera: Camera, *, keep_history: bool
     ) -> Reconstruction:

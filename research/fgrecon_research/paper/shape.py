@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.geometry import transform
+from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
@@ -312,6 +313,7 @@ def score_strategies(
     return scores
 
 
+@summed_up()
 def _score_strategy(
     views: Sequence[SimulatedView], prior: ShapePrior, options: Options, ground: Ground | None, size: SizePrior | None
 ) -> StrategyScore:

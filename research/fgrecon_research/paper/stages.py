@@ -12,6 +12,7 @@ from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.geometry import transform
+from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
@@ -45,6 +46,7 @@ class StageEstimate:
         return transform(self.camera_T_object, self.keypoints)
 
 
+@summed_up()
 def stages(
     observation: Observation, camera: Camera, scene: SceneKnowledge, ground: Ground | None, options: Options
 ) -> dict[str, StageEstimate]:

@@ -299,3 +299,37 @@ def test_results_are_written_as_they_are_read(tmp_path):
     text = "Car -1.00 -1 0.0000 1.00 2.00 30.00 40.00 1.5000 1.6000 3.9000 1.0000 1.6000 20.0000 0.5000 0.7000\n"
     (tmp_path / "000000.txt").write_text(text)
     assert format_results(read_boxes(tmp_path, [0])[0]).split()[4:] == text.split()[4:]
+
+
+def submission(root, name, *, shift=0.0, samples=("s0", "s1")):
+    """The labelled cars of a made-up scene as nuScenes' submission, moved along the world's first axis."""
+    task = name.partition(".")[0]
+    tables = {path.stem: json.loads(path.read_text()) for path in root.glob("*.json")}
+    results = {token: [] for token in samples}
+    for one in (label for label in tables["sample_annotation"] if label["sample_token"] in samples):
+        x, *rest = one["translation"]
+        known = {"translation": [x + shift, *rest], "size": one["size"], "rotation": one["rotation"]}
+        results[one["sample_token"]].append({**known, f"{task}_name": "car", f"{task}_score": 0.9, "tracking_id": "7"})
+    path = root / name
+    path.write_text(json.dumps({"meta": {}, "results": results}))
+    return path
+
+
+def test_boxes_of_nuscenes_are_scored(tmp_path):
+    """As they are, moved by 0.5 m, and of one of two samples alone, which leaves one image."""
+    from tests.formats.made_up import write_nuscenes
+
+    folder = write_nuscenes(tmp_path / "nuscenes")
+    place, out = f"{folder}#CAM_FRONT", tmp_path / "a.json"
+    exact, moved = submission(folder, "detection.json"), submission(folder, "tracking.json", shift=0.5)
+    done = run("evaluate", "boxes", place, exact, f"moved={moved}", "--overlap", 0.2, "--json", out)
+    assert done.exit_code == 0, done.output
+    assert "2 images." in done.stdout
+    sources = json.loads(out.read_text())["sources"]
+    errors = {one["name"]: [car["metres"] for car in one["vehicles"] if car["found"]] for one in sources}
+    np.testing.assert_allclose(errors["detection"], 0.0, atol=1e-6)
+    np.testing.assert_allclose(errors["moved"], 0.5, atol=1e-6)
+    some = submission(folder, "detection.json", samples=("s1",))
+    assert "1 image." in run("evaluate", "boxes", place, some, "--overlap", 0.2).stdout
+    other = run("evaluate", "boxes", place, submission(folder, "detection.json", samples=()), "--overlap", 0.2)
+    assert "Give boxes of the samples of scene-0001" in str(other.exception)

@@ -27,7 +27,8 @@ def boxes_command(
         Path,
         typer.Argument(
             metavar="DRIVE",
-            help="Labels: a drive of KITTI's tracking set, or its object set's folder; more of them may follow.",
+            help="Labels: a drive of KITTI's tracking set, its object set's folder, or a data set's camera "
+            "(PATH#SEQUENCE/CAMERA); more of them may follow.",
         ),
     ],
     results: Annotated[
@@ -35,7 +36,7 @@ def boxes_command(
         typer.Argument(
             metavar="[NAME=]RESULTS",
             help="Folders of object lines by frame or of `fgrecon run`, or files of tracking lines; of several drives "
-            "a folder with one for each, by its name. NAME is what the tables call it.",
+            "a folder with one for each, by its name; nuScenes' submissions (json). NAME is what the tables call it.",
         ),
     ],
     terminal: Terminal,
@@ -63,8 +64,8 @@ def boxes_command(
 
     check_outputs(json_out, markdown)
     screen = terminal.screen(json_out)
-    drives, texts = _drives(folder, results)
-    sources = _sources(texts, drives)
+    drives, places, texts = _drives(folder, results)
+    sources = _sources(texts, drives, places)
     frames = {
         drive.name: sorted(set.intersection(*(set(boxes.get(drive.name, ())) for boxes in sources.values())))
         for drive in drives
@@ -97,8 +98,8 @@ def boxes_command(
         raise typer.Exit(1)
 
 
-def _drives(folder: Path, following: Sequence[str]) -> tuple[list[Drive], list[str]]:
-    """The drives, and the texts behind them."""
+def _drives(folder: Path, following: Sequence[str]) -> tuple[list[Drive], list[Path], list[str]]:
+    """The drives, where they are, and the texts behind them."""
     from fgrecon.calibration.labelled_drives import check_names
     from fgrecon.core.errors import InvalidInputError
     from fgrecon.io.datasets import has_drive, open_drive
@@ -106,14 +107,19 @@ def _drives(folder: Path, following: Sequence[str]) -> tuple[list[Drive], list[s
     more = list(takewhile(has_drive, map(Path, following)))
     if len(more) == len(following):
         raise InvalidInputError("results", "none", "Give boxes behind the drives: [NAME=]RESULTS.")
-    drives = [open_drive(place) for place in (folder, *more)]
+    places = [folder, *more]
+    drives = [open_drive(place) for place in places]
     check_names([drive.name for drive in drives])
-    return drives, list(following[len(more) :])
+    return drives, places, list(following[len(more) :])
 
 
-def _sources(texts: Sequence[str], drives: Sequence[Drive]) -> dict[str, dict[str, dict[int, Objects]]]:
+def _sources(
+    texts: Sequence[str], drives: Sequence[Drive], places: Sequence[Path]
+) -> dict[str, dict[str, dict[int, Objects]]]:
     """Boxes by the source's name, the drive's and the frame."""
     from fgrecon.core.errors import InvalidInputError
+    from fgrecon.io.datasets import submitted_boxes
+    from fgrecon.io.nuscenes_detections import is_submission
     from fgrecon_research.evaluation.boxes3d import read_boxes_of_drives
 
     sources: dict[str, dict[str, dict[int, Objects]]] = {}
@@ -123,5 +129,9 @@ def _sources(texts: Sequence[str], drives: Sequence[Drive]) -> dict[str, dict[st
             name, place = Path(text).stem, text
         if name in sources:
             raise InvalidInputError("results", name, "Give each source another name, by NAME=RESULTS.")
-        sources[name] = read_boxes_of_drives(Path(place), drives)
+        sources[name] = (
+            {d.name: submitted_boxes(Path(place), at) for d, at in zip(drives, places, strict=True)}
+            if is_submission(Path(place))
+            else read_boxes_of_drives(Path(place), drives)
+        )
     return sources

@@ -15,6 +15,8 @@ from fgrecon.cli.terminal import Terminal, counting
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from collections.abc import Sequence
 
+    from fgrecon.io.kitti_drives import Drive
+    from fgrecon.io.kitti_files import Objects
     from fgrecon_research.evaluation.refined import RefinedVehicle
     from fgrecon_research.evaluation.text_table import TextTable
 
@@ -22,7 +24,10 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
 def refine_evaluation_command(
     folders: Annotated[
         list[Path],
-        typer.Argument(metavar="DRIVE", help="Labels: drives of KITTI's tracking set, or its object set's folder."),
+        typer.Argument(
+            metavar="DRIVE",
+            help="Labels: drives of KITTI's tracking set, its object set's folder, or a data set's camera.",
+        ),
     ],
     scene: SceneOptions,
     errors: BoxErrorOptions,
@@ -56,7 +61,6 @@ def refine_evaluation_command(
     from fgrecon.core.options import BoxModel, BoxOptions, Options
     from fgrecon.io.datasets import open_drive
     from fgrecon.perception.keypoints.detect import KeypointCascade
-    from fgrecon_research.evaluation.boxes3d import read_boxes
     from fgrecon_research.evaluation.refined import Refinement, document, refine_drive
 
     check_outputs(json_out)
@@ -83,12 +87,7 @@ def refine_evaluation_command(
             source = (
                 np.random.default_rng([seed, number])
                 if boxes is None
-                else {
-                    frame: found.take(
-                        np.array([kind == "Car" for kind in found.kind], dtype=bool) & (found.score >= min_score)
-                    )
-                    for frame, found in read_boxes(boxes, [frame.number for frame in drive.frames]).items()
-                }
+                else _cars(boxes, drive, folders[number], min_score)
             )
             count = counting(advance, drive.name, len(drive.frames) // every)
             vehicles += refine_drive(drive, source, how, every=every, advance=count)
@@ -113,6 +112,25 @@ def refine_evaluation_command(
     if not any(one.changed for one in vehicles):
         screen.fail("No box was refined.")
         raise typer.Exit(1)
+
+
+def _cars(boxes: Path, drive: Drive, place: Path, min_score: float) -> dict[int, Objects]:
+    """A detector's cars by frame."""
+    import numpy as np
+
+    from fgrecon.io.datasets import submitted_boxes
+    from fgrecon.io.nuscenes_detections import is_submission
+    from fgrecon_research.evaluation.boxes3d import read_boxes
+
+    found = (
+        submitted_boxes(boxes, place)
+        if is_submission(boxes)
+        else read_boxes(boxes, [frame.number for frame in drive.frames])
+    )
+    return {
+        frame: one.take(np.array([kind == "Car" for kind in one.kind], dtype=bool) & (one.score >= min_score))
+        for frame, one in found.items()
+    }
 
 
 def _table(vehicles: Sequence[RefinedVehicle]) -> TextTable:

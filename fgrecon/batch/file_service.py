@@ -1,0 +1,240 @@
+"""One file to its vehicles: a photograph or keypoints read, solved, and what there is to warn of.
+
+Commands, the service and the page are made of it:
+
+    file ---- read_file ---- tasks, one for each vehicle ---- solve_file ---- outcomes, warnings, results file
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from fgrecon.batch.results_file import document
+from fgrecon.batch.solve_tasks import (
+    Outcome,
+    SolvedImage,
+    fit_warnings,
+    grounds_of,
+    left_out_lines,
+    solve_tasks,
+    with_closest,
+)
+from fgrecon.batch.vehicle_tasks import (
+    KeypointRequest,
+    VehicleTask,
+    Watch,
+    image_tasks,
+    input_warnings,
+    read_tasks,
+    unwatched,
+)
+from fgrecon.core.camera import Ground
+from fgrecon.core.choices import BoxModel
+from fgrecon.core.vehicle_mesh import VehicleMesh
+from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
+from fgrecon.io.images import IMAGES, read_photograph
+from fgrecon.io.run_settings import RunSettings
+from fgrecon.perception.boxes import GivenBoxes
+from fgrecon.perception.sensor_source import SensorSource
+
+
+@dataclass(frozen=True)
+class FileRequest:
+    """What is requested of a file.
+
+    Attributes:
+        settings: What holds for every vehicle.
+        source: What is given of the camera.
+        boxes: Of a photograph, where the boxes are from.
+        weights: Of a photograph, the keypoint network; None for the shipped one.
+        box_model: What 2D boxes of a photograph enclose; None for what their source says.
+        names: Of keypoints, what they are called, as `fgrecon.keypoints_from` takes it; None where they say it.
+        sensors: Other sensors' files, or None.
+        together: Whether the vehicles of an image share its ground; None for those of photographs, where pose and shape
+            move together.
+        jobs: Processes.
+        models: Car models that vehicles are compared with.
+        watch: Shows progress.
+    """
+
+    settings: RunSettings
+    source: CameraSource = field(default_factory=CameraSource)
+    boxes: GivenBoxes = field(default_factory=GivenBoxes)
+    weights: Path | None = None
+    box_model: BoxModel | None = None
+    names: str | None = None
+    sensors: SensorSource | None = None
+    together: bool | None = None
+    jobs: int = 1
+    models: Sequence[VehicleMesh] = ()
+    watch: Watch = unwatched
+
+    def shares_ground(self, file: Path) -> bool:
+        """Whether the vehicles of a file's images are solved together."""
+        return is_image(file) and self.settings.options.shape.joint if self.together is None else self.together
+
+
+@dataclass(frozen=True)
+class ReadFile:
+    """The vehicles of a file, not solved yet.
+
+    Attributes:
+        path: The file.
+        photograph: The image that it is or belongs to, or None.
+        tasks: Its vehicles.
+        source: What is given of its camera, with the photograph's pixels and EXIF data.
+        left_out: What was left out: a count for each reason.
+        notes: Lines that say of vehicles of a photograph what was left out.
+        warnings: Lines that say so of a keypoint file.
+        ignored: Names of fields of the file that mean nothing to fgrecon.
+    """
+
+    path: Path
+    photograph: Path | None
+    tasks: list[VehicleTask]
+    source: CameraSource
+    left_out: dict[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
+
+
+def is_image(path: Path) -> bool:
+    """Whether a file is an image, by its ending."""
+    return path.suffix.lower() in IMAGES
+
+
+def read_file(path: Path, request: FileRequest, photograph: Path | None = None) -> ReadFile:
+    """The vehicles of a photograph, with the keypoints that the networks detect; or of a file of keypoints or a track.
+
+    Args:
+        path: The file.
+        request: What is requested.
+        photograph: The image of a keypoint file, or None.
+
+    Raises:
+        InvalidInputError: A file cannot be used, there is no car in the photograph, or a vehicle has no camera.
+    """
+    source, seen = request.source, path if is_image(path) else photograph
+    if seen is not None:
+        pixels, exif = read_photograph(seen, source.whole)
+        source = replace(source, image=pixels, exif=exif)
+    return _photograph(path, source, request) if is_image(path) else _keypoints(path, source, request, photograph)
+
+
+def _photograph(path: Path, source: CameraSource, request: FileRequest) -> ReadFile:
+    category = request.settings.prior.category
+    assert source.image is not None
+    found = request.boxes.of_image(path, source.image, scale_to_image=source.scale_to_image)
+    how = KeypointRequest(category, request.weights, request.box_model)
+    tasks = image_tasks(path, source, found.cars, how, request.watch, request.sensors)
+    notes = tuple(f"{path.name}: {line}" for line in found.notes(category.name))
+    return ReadFile(path, path, tasks, source, found.reasons, notes)
+
+
+def _keypoints(path: Path, source: CameraSource, request: FileRequest, photograph: Path | None) -> ReadFile:
+    image = None if photograph is None else photograph.name
+    read = read_tasks(path, request.settings.prior.category, source, request.names, image)
+    tasks = _with_evidence(read.tasks, request.sensors, photograph or path)
+    left_out = {str(error): 1 for error in read.left_out}
+    return ReadFile(path, photograph, tasks, source, left_out, (), tuple(read.warnings), read.ignored)
+
+
+def _with_evidence(tasks: list[VehicleTask], sensors: SensorSource | None, file: Path) -> list[VehicleTask]:
+    """The vehicles of a keypoint file with what other sensors say of their images.
+
+    Args:
+        tasks: The vehicles.
+        sensors: The sensors' files, or None.
+        file: The photograph, else the keypoint file, whose name the sensors' files have where vehicles name no image.
+    """
+    if sensors is None:
+        return tasks
+    paths = [file if one.instance.image in (None, file.name) else Path(str(one.instance.image)) for one in tasks]
+    sensors.check(path.name for path in paths)
+    known = {path: sensors.evidence(path) for path in paths}
+    return [replace(one, evidence=known[path]) for path, one in zip(paths, tasks, strict=True)]
+
+
+@dataclass(frozen=True)
+class SolvedFile:
+    """What became of the vehicles of a file.
+
+    Attributes:
+        read: The file.
+        settings: What held for all.
+        outcomes: One per vehicle.
+        images: What was solved together.
+    """
+
+    read: ReadFile
+    settings: RunSettings
+    outcomes: list[Outcome]
+    images: list[SolvedImage]
+
+    @property
+    def grounds(self) -> dict[str | None, Ground | None]:
+        """The ground of each image, by its name."""
+        return grounds_of(self.read.tasks, self.settings, self.images)
+
+    @property
+    def ground(self) -> Ground | None:
+        """The ground of the first vehicle's image."""
+        return next(iter(self.grounds.values()), self.settings.ground)
+
+    @property
+    def contradictions(self) -> list[str]:
+        """What must be wrong with the keypoints or the camera."""
+        of_image = is_image(self.read.path)
+        return input_warnings(self.read.tasks, detected=of_image) or ([] if of_image else fit_warnings(self.outcomes))
+
+    @property
+    def focal_lengths(self) -> list[str]:
+        """Of each image whose camera was not known how its focal length was estimated."""
+        cameras = [image.result.camera for image in self.images if image.result.camera.focal_sigma]
+        return [assumed_focal_length(camera, self.read.source.exif) for camera in cameras]
+
+    @property
+    def parts_left_out(self) -> list[str]:
+        """What was left out of the vehicles' observations, and why."""
+        return left_out_lines(self.outcomes)
+
+    @property
+    def warnings(self) -> list[str]:
+        """All that there is to warn of, for who sees nothing else."""
+        said = (*self.read.warnings, *self.read.notes)
+        return [*said, *self.contradictions, *self.focal_lengths[:1], *self.parts_left_out]
+
+    def document(self, *, history: bool = False, warnings: Sequence[str] = (), path: Path | None = None) -> str:
+        """The results file; see `fgrecon.batch.results_file.document`.
+
+        Args:
+            history: Whether results keep their history and graph.
+            warnings: What there is to warn of.
+            path: The input as it is named there; None for the file.
+        """
+        read = self.read
+        photograph = None if read.photograph is None else Path(read.photograph.name)
+        return document(
+            path or read.path,
+            self.outcomes,
+            self.settings,
+            self.images,
+            photograph,
+            history=history,
+            warnings=warnings,
+            left_out=read.left_out,
+        )
+
+
+def solve_file(read: ReadFile, request: FileRequest) -> SolvedFile:
+    """Solve the vehicles of a file.
+
+    Raises:
+        InvalidInputError: Vehicles cannot be solved together, or compared with the models.
+    """
+    settings, together = request.settings, request.shares_ground(read.path)
+    outcomes, images = solve_tasks(read.tasks, settings, together=together, jobs=request.jobs, watch=request.watch)
+    return SolvedFile(read, settings, with_closest(outcomes, request.models), images)
