@@ -13,7 +13,7 @@ from fgrecon.batch.vehicle_tasks import KeypointRequest, image_tasks
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
-from fgrecon.perception.boxes import boxes_of
+from fgrecon.perception.boxes import GivenBoxes
 
 
 def instances_in_boxes(
@@ -27,6 +27,6 @@ def instances_in_boxes(
     path = folder / photograph
     with without_folder(folder):
         how = KeypointRequest(load_prior(requested.prior or "car14").category)
-        source = CameraSource(image=read_image(path))
-        tasks = image_tasks(path, source, boxes_of(path, boxes, None).cars, how, lambda items, _: items)
+        pixels = read_image(path)
+        tasks = image_tasks(path, CameraSource(image=pixels), GivenBoxes(boxes).of_image(path, pixels).cars, how)
         return [instance_of(task.instance) for task in tasks]

@@ -36,9 +36,9 @@ def result_schema() -> Any:
     fields = [
         *((name, _TEXT) for name in ("row_id", "source")),
         ("frame", pa.int64()),
-        ("vehicle", pa.int32()),
         *((name, _TEXT) for name in ("image", "kind")),
         ("track", pa.int64()),
+        ("vehicle", pa.int32()),
         *((name, _TEXT) for name in ("id", "status", "error_type", "error_field", "error", "message")),
         *((name, _TEXT) for name in ("category", "prior")),
         *((name, _NUMBER) for name in ("rotation_y", "x", "y", "z", "length", "width", "height")),

@@ -18,7 +18,6 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.input_warnings import InputWarnings, camera_warning_of, input_warning_of
 from fgrecon.core.observation import Observation
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.boxes import NamedBox
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.json_fields import read_json
@@ -214,11 +213,7 @@ def image_tasks(
     complete = source.complete(camera, declared=False)
     evidence = () if sensors is None else sensors.evidence(path)
     tasks = tasks_in_boxes(image, complete, boxes, how, watch)
-    given = [replace(task.instance, evidence=()) for task in tasks]  # what keypoint files of them have
-    return [
-        replace(task, instance=instance, label_offset=offset, evidence=evidence)
-        for task, instance in zip(tasks, given, strict=True)
-    ]
+    return [replace(task, label_offset=offset, evidence=evidence) for task in tasks]
 
 
 def tasks_in_boxes(
@@ -247,7 +242,6 @@ def tasks_in_boxes(
             track=item.track,
             kind=item.kind,
             score=item.score,
-            evidence=() if detection.kinds is None else (VehicleClass(detection.kinds),),
         )
         tasks.append(VehicleTask(instance, camera, None, how.box_model or item.model))
     return tasks

@@ -41,7 +41,6 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.checks import one_word
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.evidence import Evidence
 from fgrecon.core.observation import Observation, scaled_pixels
 from fgrecon.io.image_size import scale_between
 from fgrecon.io.images import IMAGES
@@ -93,7 +92,6 @@ class Instance:
         kind: What it is, one word such as `Van`, which results repeat; or None.
         score: How sure its detector is, which exports repeat; or None.
         image_size: Width and height in pixels that the file states of its image, or None.
-        evidence: What else is known of it, such as its class.
     """
 
     name: str
@@ -111,7 +109,6 @@ class Instance:
     kind: str | None = None
     score: float | None = None
     image_size: tuple[int, int] | None = None
-    evidence: tuple[Evidence, ...] = ()
 
     def fitted(self, size: tuple[int, int] | None, *, scale: bool = False) -> Instance:
         """The same in pixels of an image of a size, which is the camera's or the picture's; None where it is not known.
@@ -138,7 +135,7 @@ class Instance:
         seen = Observation.of(
             self.keypoints, self.confidence, self.box, self.covariance, self.confidence_midpoint, self.azimuth
         )
-        return replace(seen, image_size=self.image_size).with_evidence(self.evidence)
+        return replace(seen, image_size=self.image_size)
 
 
 @dataclass(frozen=True)
