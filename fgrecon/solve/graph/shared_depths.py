@@ -40,10 +40,10 @@ class SharedDepths:
         self._keys: dict[tuple[int, int], int] = {}
         for part in observations if free else ():
             for term in part.problem.energy.points:
-                if term.depth is None or (part.image, id(term.depth)) in self._keys:
+                if term.depth is None or (part.image, id(term.depth.given)) in self._keys:
                     continue
                 key = D(part.image, sum(image == part.image for image, _ in self._keys))
-                self._keys[part.image, id(term.depth)] = key
+                self._keys[part.image, id(term.depth.given)] = key
                 self.maps[key] = term.depth
         self.priors: list[gtsam.NonlinearFactor] = [
             ZeroPrior(key, gtsam.noiseModel.Gaussian.Covariance(depth.covariance)) for key, depth in self.maps.items()
@@ -51,7 +51,7 @@ class SharedDepths:
 
     def key(self, part: ObservationPart, depth: ScaledDepth | None) -> int | None:
         """Of what an observation shares with others by a map; None where that is no variable."""
-        return None if depth is None else self._keys.get((part.image, id(depth)))
+        return None if depth is None else self._keys.get((part.image, id(depth.given)))
 
     def of(self, part: ObservationPart) -> list[int]:
         """Keys of all that an observation shares with others."""

@@ -54,7 +54,7 @@ class ScaledDepth:
         return before.scale * scale, shift, by @ covariance @ by.T
 
 
-@lru_cache(maxsize=64)  # one object for one map, whose variables are its vehicles' together
+@lru_cache(maxsize=4)  # the vehicles of an image follow each other; maps are large
 def scaled_depth(given: DepthMap) -> ScaledDepth:
     """A map whose calibration is known, or was found."""
     calibration = given.known
