@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.surface_patches import SurfacePatches
 from factors.surface_points import PointRows
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.choices import DepthScale
@@ -22,6 +21,7 @@ from fgrecon.core.depth_map import DepthCalibration, DepthMap
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.solve.inputs import SolveSetup
+from fgrecon.solve.proposals.point_term import patches_of
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search_settings import SETTINGS
@@ -106,8 +106,7 @@ def _on_vehicle(depth: DepthMap, problem: Problem, estimate: PoseEstimate, camer
     pose = estimate.camera_T_object
     rays = _rays(row, column, camera)
     points = rays * pose[2, 3]
-    surface, odds = model.prior.surface, SETTINGS.points.odds
-    patches = SurfacePatches.of(surface.mean, surface.basis, surface.faces)
+    patches, odds = patches_of(model.prior), SETTINGS.points.odds
     ones, size = np.ones(len(points)), (model.dimension_mean, model.dimension_basis)
     rows = PointRows(points, 0.05 * ones, np.zeros(3), patches, *size, odds, 1.0, ones)
     state = pose[:3, :3], pose[:3, 3], estimate.coefficients

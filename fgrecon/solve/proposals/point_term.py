@@ -114,7 +114,7 @@ def _rows(
         points,
         np.hypot(sigma, POINTS.surface_sigma_m),
         origin,
-        _patches(model.prior),
+        patches_of(model.prior),
         model.dimension_mean,
         model.dimension_basis,
         POINTS.odds,
@@ -154,7 +154,8 @@ def _pixels(depth: ScaledDepth, box: Array, camera: Camera) -> tuple[Array, Arra
 
 
 @lru_cache(maxsize=16)
-def _patches(prior: ShapePrior) -> SurfacePatches:
+def patches_of(prior: ShapePrior) -> SurfacePatches:
+    """The patches of a prior's surface, made once."""
     assert prior.surface is not None
     return SurfacePatches.of(prior.surface.mean, prior.surface.basis, prior.surface.faces)
 
