@@ -22,7 +22,6 @@ from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.time.frame import Frame, FrameStep
-from fgrecon.solve.time.heading_neighbours import neighbour_evidence
 from fgrecon.solve.time.vehicle_filter import FilterModel, VehicleFilter, VehicleUpdate, first_observed
 
 Array = NDArray[np.float64]
@@ -106,11 +105,9 @@ def look_at_vehicles(
                 updates[name] = track.vehicle.observed(problem, frame.time, _step(track.last, frame))
         except FgreconError as error:
             refused[name] = error
-    frames = [update.frame for update in updates.values()]
-    says = neighbour_evidence(frames, [one.belief for one in frames])
-    for (name, update), said in zip([*updates.items()], says, strict=True):
+    for name, update in [*updates.items()]:
         try:
-            settled = update.settled(said)
+            settled = update.settled()
             if settled.vehicle is None and (other := _facing_otherwise(settled.frame)) is not None:
                 settled = settled.restarted(*other)
             updates[name] = settled
@@ -130,8 +127,8 @@ def _step(before: CameraFrame, now: CameraFrame) -> FrameStep:
 
 
 def _facing_otherwise(frame: Frame) -> tuple[Problem, PoseEstimate] | None:
-    """A vehicle's first frame the other way round, where its neighbours say so; None where they do not."""
-    believed = frame.believed
+    """A vehicle's first frame the other way round, where its directions say so; None where they do not."""
+    believed = frame.belief
     if believed.facing(rotation_y(frame.pose.matrix())) >= 0.5:
         return None
     heading, place = believed.heading, np.asarray(frame.pose.translation())

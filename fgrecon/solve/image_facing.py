@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 
 def couple_facings(
-    seen: Sequence[Observation], camera: Camera, prior: ShapePrior, options: Options, *, rows: bool = True
+    seen: Sequence[Observation], camera: Camera, prior: ShapePrior, options: Options
 ) -> list[Observation]:
     """The observations of an image with directions that know of one another and of the traffic.
 
@@ -51,7 +51,6 @@ def couple_facings(
         camera: The camera that took the image.
         prior: Its height says about how far away a vehicle is.
         options: Which side the traffic keeps to.
-        rows: Whether they say which way one another face; over time their tracks do (`fgrecon.solve.time`).
     """
     coupled = list(seen)
     if len(coupled) < 2 and options.traffic is None:
@@ -62,9 +61,7 @@ def couple_facings(
     if options.traffic is not None:
         own += [side.along(traffic_directions(options.traffic, side.place, len(side.ahead))) for side in sides]
     headings, places = np.array([side.heading for side in sides]), np.array([side.place for side in sides])
-    between = (FACING.neighbour_share if rows else 0.0) * heading_odds(
-        headings, places.reshape(-1, 3), FACING.neighbour_distance_m
-    )
+    between = FACING.neighbour_share * heading_odds(headings, places.reshape(-1, 3), FACING.neighbour_distance_m)
     right = (1.0 + mean_field(own, between)) / 2.0
     for row, (i, side) in enumerate(found.items()):
         if options.traffic is not None or between[row].any():

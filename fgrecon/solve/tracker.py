@@ -52,7 +52,6 @@ from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.camera_drift import CameraDrift
 from fgrecon.solve.time.frame import Frame
-from fgrecon.solve.time.heading_neighbours import beliefs_with_neighbours
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle_filter import FilterModel
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, velocity_covariances
@@ -251,7 +250,7 @@ class Tracker:
                 refused[name] = error
         warn_of(doubts, stacklevel=5)
         scaled = with_scales([*found.values()], camera, self._setup)
-        coupled = couple_facings(scaled, camera, self._setup.prior, self._setup.options, rows=False)
+        coupled = couple_facings(scaled, camera, self._setup.prior, self._setup.options)
         return dict(zip(found, coupled, strict=True)), refused
 
     @single_threaded
@@ -265,9 +264,8 @@ class Tracker:
         pasts = {name: [*track.vehicle.past] for name, track in tracks.items()}
         for frames in pasts.values():
             frames[0] = replace(frames[0], step=None)
-        coupled = beliefs_with_neighbours(pasts)
         smoothed = single_threaded(self._smoothed)
-        return {name: Deferred(partial(smoothed, name, track, coupled[name])) for name, track in tracks.items()}
+        return {name: Deferred(partial(smoothed, name, track, pasts[name])) for name, track in tracks.items()}
 
     def boxes_off(self) -> float | None:
         """By how much 2D boxes are larger than their vehicles look, as a fraction; negative where smaller.
@@ -333,7 +331,7 @@ def _estimates(
     """Of some frames that were solved together, by their places there."""
     single = len(solved.seen) == 1
     selected = [frame for frame, _ in frames.values()]
-    facings = [frame.believed.facing(rotation_y(frame.pose.matrix())) for frame in selected]
+    facings = [frame.belief.facing(rotation_y(frame.pose.matrix())) for frame in selected]
     adjusted, known = solved.adjusted, None
     spreads: Sequence[Array | None] = [None] * len(selected)
     if not single:

@@ -134,7 +134,6 @@ def test_the_order_of_the_vehicles_does_not_matter():
     other = couple_facings(seen[::-1], KITTI_CAMERA, PRIOR, PLAIN)[::-1]
     for one, two in zip(found, other, strict=True):
         np.testing.assert_allclose(one.azimuth, two.azimuth, atol=1e-9)
-    assert couple_facings(seen, KITTI_CAMERA, PRIOR, PLAIN, rows=False)[1] is seen[1]
 
 
 def test_probabilities_are_those_of_all_sides_together():

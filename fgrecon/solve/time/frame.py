@@ -8,14 +8,22 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.time.heading_filter import HEADINGS, Belief, carried
+from fgrecon.solve.time.heading_filter import Belief, TrackHeading
 from fgrecon.solve.time.time_settings import SETTINGS
 
 Array = NDArray[np.float64]
+
+
+def image_height(observation: Observation) -> float:
+    """How high a vehicle is in its image, pixels."""
+    if observation.box is not None:
+        return float(observation.box[3] - observation.box[1])
+    return float(np.ptp(observation.keypoints[observation.measured, 1]))
 
 
 @dataclass(frozen=True)
@@ -94,10 +102,9 @@ class Frame(PosedImage):
         number: In the keys.
         time: Seconds.
         step: From the frame before; None for the first.
-        since: Seconds since the frames of an earlier moment; None where there are none.
-        evidence: (B,) what it says of the heading, logarithms.
-        belief: Of the heading, by this frame and those before.
-        neighbours: (B,) what the other vehicles say of the heading, logarithms; no part of the belief.
+        image: (B,) what its image says of the heading, logarithms.
+        heading: What it and the frames before it say of the heading.
+        belief: Of the heading.
         velocity: (3,) where it is now.
         merged: Whether it stands for frames before it as well, which left the window.
     """
@@ -105,29 +112,33 @@ class Frame(PosedImage):
     number: int
     time: float
     step: FrameStep | None
-    since: float | None = None
-    evidence: Array
-    belief: Belief = field(default_factory=Belief.none)
-    neighbours: Array = field(default_factory=lambda: np.zeros(len(HEADINGS)))
+    image: Array
+    heading: TrackHeading
+    belief: Belief
     velocity: Array = field(default_factory=lambda: np.zeros(3))
     merged: bool = False
 
-    def following(self, before: Frame) -> Frame:
-        """The frame with the belief of the one before it, and what this one says."""
+    def begun(self) -> Frame:
+        """The frame as the first of its vehicle."""
+        heading = TrackHeading.begun(
+            self.image, np.asarray(self.pose.translation()), image_height(self.given.observation)
+        )
+        return replace(self, step=None, heading=heading, belief=heading.belief)
+
+    def following(self, before: Frame, way: Array | None = None) -> Frame:
+        """The frame after another one; `way` (B,) has logarithms of what the vehicle's way says of the heading."""
         assert self.step is not None
-        return replace(self, belief=before.belief.predicted(self.step.seconds, self.step.turn).updated(self.evidence))
+        place = np.asarray(self.pose.translation())
+        heading = before.heading.following(
+            self.step.seconds, self.step.turn, self.image, place, image_height(self.given.observation), way
+        )
+        return replace(self, heading=heading, belief=heading.belief)
 
     def without(self, before: Frame) -> Frame:
-        """The frame after the one before that, whose motion and evidence it takes over."""
+        """The frame after the one before that, whose motion it takes over."""
         assert before.step is not None
         assert self.step is not None
-        evidence = self.evidence + carried(before.evidence, self.step.seconds, self.step.turn)
-        return replace(self, step=before.step.then(self.step), evidence=evidence, merged=True)
-
-    @property
-    def believed(self) -> Belief:
-        """Of the heading, by all."""
-        return self.belief.updated(self.neighbours)
+        return replace(self, step=before.step.then(self.step), merged=True)
 
     @property
     def camera_known(self) -> bool:

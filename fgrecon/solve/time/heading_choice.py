@@ -20,7 +20,7 @@ from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.terms import direction_penalty
 from fgrecon.solve.time.frame import Frame, PosedImage
-from fgrecon.solve.time.heading_filter import another_side, backward, combined, direction_evidence, pose_evidence
+from fgrecon.solve.time.heading_filter import another_side, direction_evidence, earlier_beliefs, pose_evidence
 from fgrecon.solve.time.time_settings import SETTINGS
 
 Array = NDArray[np.float64]
@@ -43,14 +43,12 @@ def image_evidence(observation: Observation, poses: Sequence[Alternative]) -> Ar
 
 
 def choose_headings(frames: Sequence[Frame], shape: ShapeValues) -> list[Frame]:
-    """The frames, each on the side where it is by what all of them and the last one's neighbours say."""
-    *_, last = frames
+    """The frames, each on the side where it is by what the last one knows, and with the belief of that."""
     steps = [(f.step.seconds, f.step.turn) for f in frames[1:] if f.step is not None]
-    later = backward([*(f.evidence for f in frames[:-1]), last.evidence + last.neighbours], steps)
-    beliefs = [*(f.belief for f in frames[:-1]), last.believed]
+    beliefs = earlier_beliefs(frames[-1].belief, [f.image for f in frames], steps)
     return [
-        moved_to(frame, combined(belief, likelihood).heading, shape)
-        for frame, belief, likelihood in zip(frames, beliefs, later, strict=True)
+        replace(moved_to(frame, belief.heading, shape), belief=belief)
+        for frame, belief in zip(frames, beliefs, strict=True)
     ]
 
 

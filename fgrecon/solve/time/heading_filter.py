@@ -3,18 +3,25 @@
     heading(0) ---- turn ---- heading(1) ---- turn ---- heading(2) ...
         |                         |                         |
       frame                     frame                     frame
+      +------- one view --------+                      another view
 
 What a frame says is a density over headings (`rotation_y` in its camera): a bump at each pose that its keypoints allow,
 by its energy; smaller bumps half a turn away, since a network that takes a front for a rear does so with all keypoints;
-the network's directions; and where the vehicle has gone, if the world is known. Neither is ever certain, and frames
-that follow each other closely err alike: the logarithms count by the time between them. From frame to frame a vehicle
-turns little, and next to never faces elsewhere altogether: frames of another vehicle begin anew (`vehicle_filter`).
+the network's directions, which know of the other vehicles (`image_facing`); and where the vehicle has gone, if the
+world is known. Neither is ever certain. From frame to frame a vehicle turns little, and next to never faces elsewhere
+altogether: frames of another vehicle begin anew (`vehicle_filter`).
+
+A network is wrong about a vehicle for as long as it sees it alike. So all frames of one view, of about one direction
+and one size in the image, say together little more than one of them: their mean, which counts the more the more they
+are, but never as more than two images. Another view counts anew. Whatever was believed before, the vehicle faces as its
+last images alone say where these are surer: of what errs alike to an unknown degree the surer counts, and no belief is
+locked.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -71,17 +78,6 @@ def another_side(first: float, second: float) -> bool:
     return bool(np.abs(wrap_angle(first - second)) > SETTINGS.same_side_rad)
 
 
-def evidence_weight(seconds: float | None, height: float) -> float:
-    """How much a frame's evidence counts.
-
-    Args:
-        seconds: Since the frame before; None for the first.
-        height: Of the vehicle in the image, pixels.
-    """
-    by_time = 1.0 if seconds is None else min(seconds / SETTINGS.correlation_s, 1.0)
-    return by_time * min(height / SETTINGS.full_height_px, 1.0)
-
-
 def pose_evidence(headings: Sequence[float], energies: Sequence[float], *, alone: bool) -> Array:
     """(B,) logarithms of what poses say, of which one is right or none.
 
@@ -133,32 +129,130 @@ def _either_way(heading: float, spread: float, flipped: float) -> Array:
     return np.asarray(np.log((1.0 - nothing) * bump + nothing / (2.0 * np.pi)))
 
 
-def carried(evidence: Array, seconds: float, camera_turn: float) -> Array:
-    """(B,) logarithms of what a frame's evidence (B,) says some time later."""
+def _carried(evidence: Array, seconds: float, camera_turn: float) -> Array:
+    """(B,) logarithms of what evidence (B,) says some time later."""
     likelihood = np.exp(evidence - evidence.max())
     said: Array = np.log(_kernel_product(likelihood / likelihood.sum(), seconds, camera_turn))
     return said
 
 
-def backward(evidence: Sequence[Array], steps: Sequence[tuple[float, float]]) -> list[Array]:
-    """(B,) likelihood of all later frames, for each frame.
+@dataclass(frozen=True)
+class Aspect:
+    """How a vehicle is seen.
+
+    Attributes:
+        azimuth: From where, radians; front and rear are alike.
+        log_height: Logarithm of its height in the image.
+    """
+
+    azimuth: float
+    log_height: float
+
+    @classmethod
+    def of(cls, heading: float, place: Array, height: float) -> Aspect:
+        """Of a vehicle of a heading at a place (3,), metres, and its height in the image, pixels."""
+        return cls(float(view_azimuth(yaw_rotation(heading), place)), float(np.log(max(height, 1.0))))
+
+    def differs(self, other: Aspect) -> bool:
+        """Whether what a network says of one is not what it says of the other for that alone."""
+        off = float(wrap_angle(2.0 * (self.azimuth - other.azimuth))) / 2.0
+        closer = self.log_height - other.log_height
+        return bool(np.hypot(off / SETTINGS.view_azimuth_rad, closer / SETTINGS.view_log_height) > 1.0)
+
+
+@dataclass(frozen=True)
+class TrackHeading:
+    """What the frames of a vehicle say of its heading in the last one.
+
+    Attributes:
+        earlier: By the views before the last.
+        way: By where it has gone.
+        view: The last view, as it began.
+        mean: (B,) logarithms of what a frame of that says, on average.
+        frames: How many it has.
+        first: Whether there was none before it in time; it counts as one image at least.
+        recent: (B,) logarithms of what the last images say, each counting half as much as the one after it.
+    """
+
+    earlier: Belief
+    way: Belief
+    view: Aspect
+    mean: Array
+    frames: int
+    first: bool
+    recent: Array
+
+    @classmethod
+    def begun(cls, image: Array, place: Array, height: float) -> TrackHeading:
+        """By a first frame: its image (B,), logarithms, of a vehicle at a place (3,), so many pixels high."""
+        view = Aspect.of(Belief.none().updated(image).heading, place, height)
+        return cls(Belief.none(), Belief.none(), view, image, frames=1, first=True, recent=image)
+
+    def following(
+        self, seconds: float, turn: float, image: Array, place: Array, height: float, way: Array | None
+    ) -> TrackHeading:
+        """With the next frame.
+
+        Args:
+            seconds: To that frame.
+            turn: By how much `rotation_y` of a thing at rest has changed, radians.
+            image: (B,) logarithms of what its image says.
+            place: (3,) about where the vehicle is, metres.
+            height: Of it in the image, pixels.
+            way: (B,) logarithms of what its way up to there says; None for nothing new.
+        """
+        mean = _carried(self.mean, seconds, turn)
+        moved = replace(
+            self,
+            earlier=self.earlier.predicted(seconds, turn),
+            way=self.way.predicted(seconds, turn).updated(np.zeros(_BINS) if way is None else way),
+            mean=mean + (image - mean) / (self.frames + 1),
+            frames=self.frames + 1,
+            recent=(_carried(self.recent, seconds, turn) + image) / 2.0,
+        )
+        view = Aspect.of(moved.whole.heading, place, height)
+        if not view.differs(self.view):
+            return moved
+        before = replace(moved, mean=mean, frames=self.frames)
+        first = self.first and seconds < SETTINGS.simultaneous_s
+        return replace(moved, earlier=before.by_views, view=view, mean=image, frames=1, first=first)
+
+    @property
+    def by_views(self) -> Belief:
+        """By what a network says in all views."""
+        counts = SETTINGS.view_images * self.frames / (self.frames + SETTINGS.view_half_frames)
+        if self.first:
+            counts = max(counts, 1.0)
+        return self.earlier.updated(counts * self.mean)
+
+    @property
+    def whole(self) -> Belief:
+        """By all of them."""
+        return self.by_views.updated(np.log(self.way.probability))
+
+    @property
+    def belief(self) -> Belief:
+        """By all of them, or by the last images alone where these are surer, and by the way."""
+        surer = max(self.by_views, Belief.none().updated(self.recent), key=lambda one: one.facing(one.heading))
+        return surer.updated(np.log(self.way.probability))
+
+
+def earlier_beliefs(last: Belief, images: Sequence[Array], steps: Sequence[tuple[float, float]]) -> list[Belief]:
+    """Of frames by what the last one knows: that tells the facing, and each image but which axis the vehicle is along.
 
     Args:
-        evidence: (B,) logarithms of each frame.
+        last: Of the last frame.
+        images: (B,) logarithms of what the image of each says.
         steps: Seconds, and the camera's turn, from each frame to the next.
+
+    Returns:
+        The belief of each frame, the last one's included.
     """
-    likelihood = [np.ones(_BINS)]
-    for own, (seconds, turn) in zip(evidence[:0:-1], steps[::-1], strict=True):
-        product = likelihood[-1] * np.exp(own - own.max())
-        before = _kernel_product(product / product.sum(), seconds, -turn)
-        likelihood.append(before / before.max())
-    return likelihood[::-1]
-
-
-def combined(belief: Belief, later: Array) -> Belief:
-    """By earlier and by later frames."""
-    both = belief.probability * later
-    return Belief(both / both.sum())
+    found = [last]
+    for image, (seconds, turn) in zip(images[-2::-1], steps[::-1], strict=True):
+        axis = np.logaddexp(image, np.roll(image, _BINS // 2))
+        found.append(found[-1].predicted(seconds, -turn).updated(axis))
+    return found[::-1]
 
 
 def _bump(off: Array) -> Array:

@@ -12,7 +12,6 @@ from fgrecon.core.category import MotionModel
 from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.time.frame import Frame
 from fgrecon.solve.time.heading_choice import choose_headings
-from fgrecon.solve.time.heading_filter import Belief, backward, combined
 from fgrecon.solve.time.time_settings import SETTINGS
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, solve_single, solve_window
 
@@ -31,9 +30,9 @@ def smooth(
         model: How such vehicles move.
         extra: Makes factors of the caller's own for each step; or None.
     """
-    for piece in pieces(past):
-        chosen = choose_headings(piece, shape)
-        frames = [replace(f, belief=belief) for f, belief in zip(chosen, beliefs(chosen), strict=True)]
+    for piece in _pieces(past):
+        whole = replace(piece[-1], belief=piece[-1].heading.whole)
+        frames = choose_headings([*piece[:-1], whole], shape)
         if len(frames) == 1:
             yield _by_itself(frames[0])
             continue
@@ -46,17 +45,10 @@ def smooth(
             yield solved, solved.moved(some), range(first - low, last - low)
 
 
-def pieces(past: Sequence[Frame]) -> list[Sequence[Frame]]:
+def _pieces(past: Sequence[Frame]) -> list[Sequence[Frame]]:
     """The frames of a vehicle, parted where one begins anew."""
     begins = [i for i, frame in enumerate(past) if i == 0 or frame.step is None]
     return [past[begin:end] for begin, end in zip(begins, [*begins[1:], len(past)], strict=True)]
-
-
-def beliefs(frames: Sequence[Frame]) -> list[Belief]:
-    """Of each frame of a piece by all of them."""
-    steps = [(f.step.seconds, f.step.turn) for f in frames[1:] if f.step is not None]
-    later = backward([f.evidence for f in frames], steps)
-    return [combined(f.belief, likelihood) for f, likelihood in zip(frames, later, strict=True)]
 
 
 def _by_itself(frame: Frame) -> Smoothed:

@@ -25,7 +25,10 @@ class TimeSettings:
     full_height_px: float = 60.0  # lower vehicles show less, and frames err alike the more
     unscored_pose_excess_nats: float = 3.0  # of other poses by a strategy without an energy; not tuned
     # The heading over time
-    correlation_s: float = 0.3  # what frames of so much time say together is what one of them says
+    view_azimuth_rad: float = float(np.deg2rad(15.0))  # from so much further round a network's look is another one
+    view_log_height: float = 0.3  # and so is one from so much nearer; chosen on drives 0095, 0009, 0013 and 0005
+    view_images: float = 2.0  # that many frames of one view count as together, at most; on the same drives
+    view_half_frames: float = 4.0  # of which they count as half of that; on the same drives
     turn_rate_sigma_rad: float = 0.3  # that a vehicle turns in a second
     jump_probability_per_s: float = 1e-7  # that it faces elsewhere: frames of another vehicle begin anew
     same_side_rad: float = float(np.deg2rad(60.0))  # headings further apart are of different poses
@@ -35,10 +38,6 @@ class TimeSettings:
     path_m: float = 2.0  # that it must have gone
     place_sigma_m: float = 0.3  # how exactly its place is known, beside what grows with depth
     place_sigma_per_m: float = 0.05
-    # Neighbours in one row or lane
-    neighbour_share: float = 0.5  # of what two say of one another, since a row's say much the same
-    neighbour_distance_m: float = 30.0
-    belief_error_probability: float = 1e-6  # that a belief is wrong, at least
     # The window
     window_iterations: int = 4  # most of a window was solved with the frame before
     window_span_s: float = 4.0  # older frames leave, but for the last two

@@ -32,9 +32,9 @@ from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.time.frame import Frame, FrameStep
+from fgrecon.solve.time.frame import Frame, FrameStep, image_height
 from fgrecon.solve.time.heading_choice import choose_headings, image_evidence
-from fgrecon.solve.time.heading_filter import Belief, evidence_weight, path_evidence
+from fgrecon.solve.time.heading_filter import TrackHeading, path_evidence
 from fgrecon.solve.time.time_settings import SETTINGS
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, solve_single, solve_window, thinned
 
@@ -98,10 +98,8 @@ class VehicleFilter:
         before = self.frames[-1]
         said, path = self.path.on(before.pose, step)
         start = search_pose(problem, self.foreseen(step))
-        frame = _frame(self.count, time, problem, start, step, _since(before, step))
-        evidence = _own_evidence(frame) if said is None else _own_evidence(frame) + said
-        frame = replace(frame, evidence=evidence)
-        return VehicleUpdate(self.model, self, frame.following(before), self.shape, self.solved, path)
+        frame = _frame(self.count, time, problem, start, step)
+        return VehicleUpdate(self.model, self, frame.following(before, said), self.shape, self.solved, path)
 
     def foreseen(self, step: FrameStep) -> Array:
         """(4, 4) where the vehicle should be if it goes on as it did, and so does a camera of unknown motion."""
@@ -138,11 +136,8 @@ class VehicleFilter:
 
 def _begun_anew(vehicle: VehicleFilter, odd: Frame, last: Frame) -> VehicleFilter:
     """Go on from two frames alone: what those before said of the heading, and their path, are another vehicle's."""
-    odd = replace(odd, step=None, since=None)
-    odd = replace(odd, evidence=_own_evidence(odd))
-    odd = replace(odd, belief=Belief.none().updated(odd.evidence))
-    last = replace(last, since=_since(odd, last.step))
-    last = replace(last, evidence=_own_evidence(last)).following(odd)
+    odd = _begun(odd)
+    last = last.following(odd)
     shape = vehicle.solved.shape
     frames = _with_velocity(choose_headings([odd, last], shape))
     return replace(vehicle, shape=shape, path=VehiclePath(), asked=last.time).with_frames(frames)
@@ -198,16 +193,11 @@ class VehicleUpdate:
     solved: WindowSolve
     path: VehiclePath
 
-    def settled(self, neighbours: Array) -> VehicleUpdate:
-        """The update on the side where the vehicle faces, as are the frames of its window.
-
-        Args:
-            neighbours: (B,) what the other vehicles say of its heading, logarithms.
-        """
-        frame = replace(self.frame, neighbours=neighbours)
+    def settled(self) -> VehicleUpdate:
+        """The update on the side where the vehicle faces, as are the frames of its window."""
         if self.vehicle is None:
-            return replace(self, frame=frame)  # a single image; see `restarted`
-        *earlier, frame = choose_headings([*self.vehicle.frames, frame], self.shape)
+            return self  # a single image; see `restarted`
+        *earlier, frame = choose_headings([*self.vehicle.frames, self.frame], self.shape)
         return replace(self, frame=frame, vehicle=self.vehicle.with_frames(earlier))
 
     def restarted(self, problem: Problem, start: PoseEstimate) -> VehicleUpdate:
@@ -255,32 +245,27 @@ def first_observed(model: FilterModel, problem: Problem, time: float) -> Vehicle
     """
     start = search_pose(problem)
     frame, solved = _solved_alone(_frame(0, time, problem, start), start)
-    frame = replace(frame, evidence=_own_evidence(frame))
-    frame = replace(frame, belief=Belief.none().updated(frame.evidence))
-    return VehicleUpdate(model, None, frame, solved.shape, solved, VehiclePath())
+    return VehicleUpdate(model, None, _begun(frame), solved.shape, solved, VehiclePath())
 
 
-def _frame(
-    number: int,
-    time: float,
-    problem: Problem,
-    start: PoseEstimate,
-    step: FrameStep | None = None,
-    since: float | None = None,
-) -> Frame:
-    """A frame at its best proposal; what it says of the heading is not known yet."""
+def _frame(number: int, time: float, problem: Problem, start: PoseEstimate, step: FrameStep | None = None) -> Frame:
+    """A frame at its best proposal, as if it were the first."""
     here = Alternative(start.camera_T_object, start.coefficients, 0.0)
+    poses = (here, *start.alternatives)
+    image = _evidence(problem.observation, poses)
+    heading = TrackHeading.begun(image, start.camera_T_object[:3, 3], image_height(problem.observation))
     return Frame(
         given=problem,
         start=start,
-        poses=(here, *start.alternatives),
+        poses=poses,
         pose=gtsam.Pose3(start.camera_T_object),
         weights=Weights(start.weights, start.visibility, np.ones(4), float(start.camera_T_object[2, 3])),
         number=number,
         time=time,
         step=step,
-        since=since,
-        evidence=np.zeros(0),
+        image=image,
+        heading=heading,
+        belief=heading.belief,
     )
 
 
@@ -311,24 +296,14 @@ def _with_velocity(frames: Sequence[Frame]) -> list[Frame]:
     return [*earlier, replace(frame, velocity=velocity)]
 
 
-def _own_evidence(frame: Frame) -> Array:
-    """(B,) what a frame's image says of the heading, as far as it counts after the frames before."""
-    observation = frame.given.observation
-    return image_evidence(observation, frame.poses) * evidence_weight(frame.since, _height(observation))
+def _begun(frame: Frame) -> Frame:
+    """A frame as the first of its vehicle, by the poses that it has now."""
+    return replace(frame, image=_evidence(frame.given.observation, frame.poses)).begun()
 
 
-def _since(before: Frame, step: FrameStep | None) -> float | None:
-    """Seconds to a frame from those of an earlier moment: what images of one moment say counts alike in any order."""
-    if step is None:
-        return None
-    return before.since if step.simultaneous else step.seconds
-
-
-def _height(observation: Observation) -> float:
-    """Of a vehicle in the image, pixels."""
-    if observation.box is not None:
-        return float(observation.box[3] - observation.box[1])
-    return float(np.ptp(observation.keypoints[observation.measured, 1]))
+def _evidence(observation: Observation, poses: Sequence[Alternative]) -> Array:
+    """(B,) logarithms of what an image says of the heading; a low vehicle shows less."""
+    return image_evidence(observation, poses) * min(image_height(observation) / SETTINGS.full_height_px, 1.0)
 
 
 @dataclass(frozen=True)

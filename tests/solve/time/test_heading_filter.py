@@ -7,11 +7,11 @@ from fgrecon.core.half_turn import flipped_observation, partners
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.solve.time.heading_filter import (
     HEADINGS,
+    Aspect,
     Belief,
-    backward,
-    combined,
+    TrackHeading,
     direction_evidence,
-    evidence_weight,
+    earlier_beliefs,
     path_evidence,
     pose_evidence,
 )
@@ -51,44 +51,82 @@ def test_a_way_says_more_the_longer_it_is():
     assert Belief.none().updated(far).facing(np.pi / 2.0) > 0.8
 
 
-def forward(evidence):
-    """The belief of each frame by it and those before, a tenth of a second apart."""
-    beliefs = [Belief.none().updated(evidence[0])]
-    for own in evidence[1:]:
-        beliefs.append(beliefs[-1].predicted(0.1, 0.0).updated(own))
-    return beliefs
+PLACE = np.array([2.0, 1.65, 20.0])
+
+
+def towards(heading, nats):
+    """What an image says that tells one half of all headings from the other by so many nats."""
+    return np.where(np.abs(wrap_angle(HEADINGS - heading)) < 0.6, nats, 0.0)
+
+
+def followed(images, heights=None, ways=None, turn=0.0):
+    """The heading after each of several frames, a tenth of a second apart, as high in the image as is given."""
+    heights = [50.0] * len(images) if heights is None else heights
+    found = [TrackHeading.begun(images[0], PLACE, heights[0])]
+    for image, height, way in zip(images[1:], heights[1:], (ways or [None] * len(images))[1:], strict=True):
+        found.append(found[-1].following(0.1, turn, image, PLACE, height, way))
+    return found
+
+
+def sides(headings):
+    return [one.belief.facing(0.0) for one in headings]
+
+
+def test_the_frames_of_one_view_say_little_more_than_one_of_them():
+    one, *_, many = sides(followed([towards(0.0, 1.0)] * 40))
+    assert one < many < Belief.none().updated(towards(0.0, 2.0)).facing(0.0)
+    _, *_, closer = sides(followed([towards(0.0, 1.0)] * 40, heights=np.geomspace(50.0, 200.0, 40)))
+    assert closer > many + 0.05
+
+
+def test_a_few_frames_that_are_turned_do_not_turn_a_vehicle():
+    images = [towards(np.pi if i % 3 == 1 else 0.0, 2.0) for i in range(30)]
+    assert min(sides(followed(images))[3:]) > 0.5
+
+
+def test_a_vehicle_faces_as_its_last_images_where_these_are_surer_than_all_before():
+    """However long the others were believed: they may all be wrong alike."""
+    images = [towards(np.pi, 0.8)] * 100 + [towards(0.0, 3.0)] * 2
+    *_, before, one, two = followed(images)
+    assert before.belief.facing(0.0) < 0.5
+    assert one.belief.facing(0.0) > before.belief.facing(0.0)
+    assert two.belief.facing(0.0) > 0.7
+    assert two.whole.facing(0.0) < 0.5  # in the end all count
+
+
+def test_a_way_counts_whole_beside_the_images():
+    """It is evidence of another kind: each stretch tells anew, and no image is surer than both."""
+    forth = path_evidence(np.array([10.0, 0.0, 0.0]), 0.3)
+    images, ways = [towards(np.pi, 2.0)] * 3, [None, forth, forth]
+    first, _, last = followed(images, ways=ways)
+    assert first.belief.facing(0.0) < 0.5 < last.belief.facing(0.0)
+    assert last.way.facing(0.0) > 0.99
+
+
+def test_views_differ_by_direction_and_size_and_not_by_front_and_rear():
+    view = Aspect(1.0, 4.0)
+    assert not view.differs(Aspect(1.0 + np.pi, 4.1))
+    assert view.differs(Aspect(1.4, 4.0))
+    assert view.differs(Aspect(1.0, 4.5))
+
+
+def test_what_is_known_turns_with_the_camera():
+    image = pose_evidence([0.5], [0.0], alone=True)
+    last = followed([image, np.zeros(len(HEADINGS))], turn=0.7)[-1]
+    assert abs(wrap_angle(last.belief.heading - 1.2)) < 0.1
 
 
 def test_later_frames_mend_earlier_ones():
-    """Forward and backward is what a whole chain says: the first frame alone is wrong."""
-    evidence = [pose_evidence([0.3 + turn], [0.0], alone=True) for turn in (np.pi, 0.0, 0.0, 0.0)]
-    beliefs = forward(evidence)
-    later = backward(evidence, [(0.1, 0.0)] * 3)
-    assert beliefs[0].facing(0.3) < 0.2
-    assert beliefs[-1].facing(0.3) > 0.9
-    whole = [combined(belief, likelihood).facing(0.3) for belief, likelihood in zip(beliefs, later, strict=True)]
-    np.testing.assert_allclose(whole, whole[-1], atol=0.01)
-    np.testing.assert_allclose(combined(beliefs[-1], later[-1]).probability, beliefs[-1].probability)
-
-
-def test_a_vehicle_does_not_turn_round_in_the_middle_of_its_track():
-    """What is doubtful at first and sure later is one vehicle, which faces as it is seen when it is near."""
-
-    def towards(heading, nats):
-        return np.where(np.abs(wrap_angle(HEADINGS - heading)) < 0.6, nats, 0.0)
-
-    evidence = [towards(np.pi, 0.8)] * 16 + [towards(0.0, 1.7)] * 25
-    beliefs = forward(evidence)
-    assert beliefs[15].facing(np.pi) > 0.99
-    later = backward(evidence, [(0.1, 0.0)] * (len(evidence) - 1))
-    whole = [combined(belief, likelihood).facing(0.0) for belief, likelihood in zip(beliefs, later, strict=True)]
-    assert min(whole) > 0.7
-
-
-def test_weights():
-    assert evidence_weight(None, 100.0) == 1.0
-    assert evidence_weight(0.1, 100.0) == pytest.approx(1.0 / 3.0)
-    assert evidence_weight(5.0, 30.0) == pytest.approx(0.5)
+    """The last frame tells which way all faced, each image along which axis: the first alone is wrong, and all turn."""
+    headings = 0.3 + 0.2 * np.arange(4)
+    images = [pose_evidence([h + turn], [0.0], alone=True) for h, turn in zip(headings, (np.pi, 0, 0, 0), strict=True)]
+    last = Belief.none().updated(2.0 * images[-1])
+    beliefs = earlier_beliefs(last, images, [(0.1, 0.2)] * 3)
+    assert beliefs[-1] is last
+    assert Belief.none().updated(images[0]).facing(0.3) < 0.2
+    for belief, heading in zip(beliefs, headings, strict=True):
+        assert belief.facing(heading) > 0.9
+        assert abs(wrap_angle(belief.heading - heading)) < 0.1
 
 
 def test_turned_round_twice_is_as_before():

@@ -10,7 +10,6 @@ import fgrecon
 from factors.noise import full_noise
 from fgrecon.solve.time.camera_drift import CameraDrift
 from fgrecon.solve.time.frame import FrameStep
-from fgrecon.solve.time.heading_filter import HEADINGS, Belief, backward, carried, combined, pose_evidence
 from tests.solve.time.streets import CAMERA, seen, upright
 
 
@@ -60,20 +59,6 @@ def test_a_cameras_way_of_many_kilometres_leaves_covariances_what_they_are():
         found = drift.since(before, place)
         full_noise("motion", found + 1e-6 * np.eye(6))
     np.testing.assert_allclose(found, covariance, atol=0.05 * np.abs(covariance).max())
-
-
-def test_what_a_frame_that_leaves_said_of_the_heading_stays():
-    """Earlier frames are told by the next one of it, turned as the camera turns."""
-    evidence = [pose_evidence([h], [0.0], alone=True) for h in (0.3, 0.4 + np.pi, 0.2)]
-    steps = [(0.1, -0.05), (0.2, 0.1)]
-    expected = combined(Belief.none().updated(evidence[0]), backward(evidence, steps)[0])
-    merged = [evidence[0], evidence[2] + carried(evidence[1], *steps[1])]
-    found = combined(Belief.none().updated(evidence[0]), backward(merged, [(0.3, 0.05)])[0])
-    without = combined(Belief.none().updated(evidence[0]), backward([evidence[0], evidence[2]], [(0.3, 0.05)])[0])
-    assert found.facing(0.3) == pytest.approx(expected.facing(0.3), abs=1e-3)
-    assert abs(without.facing(0.3) - expected.facing(0.3)) > 0.02
-    turned = carried(evidence[0], 0.01, 10 * (HEADINGS[1] - HEADINGS[0]))
-    assert int(np.argmax(turned)) == int(np.argmax(evidence[0])) + 10
 
 
 @pytest.mark.parametrize("window", [2, 3, 5, 7])
