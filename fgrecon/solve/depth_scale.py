@@ -1,9 +1,10 @@
 """About what the numbers of a depth map are, where it is given up to scale, or scale and shift.
 
 The ground says so where it is given, and else the vehicles of the image, each at the pose that the picture alone leads
-to. Both are crude: a vehicle's depth by a picture is off by some percent, and so is a plane by its pitch. So scale and
-shift are fitted robustly with pitch, roll and height of the plane, and how unsure they are goes on into the graph
-(`fgrecon.solve.graph.measured_points`), whose vehicles, with all that is known of them, decide.
+to. Both are crude: a vehicle's depth by a picture is off by some percent, and so is a plane by its pitch, as which what
+rises from it passes as well. So scale and shift are those that most samples agree on, and how unsure they are by pitch,
+roll and height of the plane goes on into the graph (`fgrecon.solve.graph.shared_depths`), whose vehicles, with all that
+is known of them, decide.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ def _calibrated(
     if start is None:
         return None
     typical = float(np.median(1.0 / samples.metres if depth.inverse else samples.metres))
-    return replace(depth, calibration=_Fit(depth, vehicles, plane, usable, start, typical).solved())
+    return replace(depth, calibration=_Fit(depth, plane, usable, start, typical).calibration())
 
 
 def _on_vehicle(depth: DepthMap, problem: Problem, estimate: PoseEstimate, camera: Camera) -> _Samples:
@@ -181,11 +182,10 @@ def _start(depth: DepthMap, samples: _Samples) -> tuple[float, float] | None:
 
 @dataclass(frozen=True)
 class _Fit:
-    """What scale and shift are fitted to; of five numbers: log scale, shift, and the plane's log height and slopes.
+    """A first scale and shift; five numbers change it: log scale, shift, and the plane's log height and slopes.
 
     Attributes:
         depth: The map.
-        vehicles: Samples of vehicles.
         plane: Samples of the ground and their rays, or None.
         ground: The ground, or None.
         start: Scale and shift that the numbers change,
@@ -193,15 +193,10 @@ class _Fit:
     """
 
     depth: DepthMap
-    vehicles: _Samples
     plane: tuple[_Samples, Array] | None
     ground: Ground | None
     start: tuple[float, float]
     typical: float
-
-    def calibration(self, x: Array) -> tuple[float, float]:
-        """Scale and shift by the numbers."""
-        return self.start[0] * float(np.exp(x[0])), self.start[1] + self.typical * float(x[1])
 
     @property
     def known(self) -> Array:
@@ -211,28 +206,23 @@ class _Fit:
         return np.array([DEPTH_SCALE.wide_log_scale, shift, DEPTH_SCALE.height_share, slope, slope])
 
     def residuals(self, x: Array) -> Array:
-        """(M,) of the samples of the ground, or without one of the vehicles."""
+        """(M,) of the samples of the ground."""
         if self.plane is None or self.ground is None:
-            return _off(self.depth, self.vehicles, self.calibration(x), self.vehicles.metres)
+            return np.zeros(0)
         samples, rays = self.plane
+        calibration = self.start[0] * float(np.exp(x[0])), self.start[1] + self.typical * float(x[1])
         down = rays @ self.ground.normal + rays[:, 2] * x[3] + rays[:, 0] * x[4]
         metres = self.ground.distance * np.exp(x[2]) / np.maximum(down, 1e-4)
-        return _off(self.depth, samples, self.calibration(x), metres)
+        return _off(self.depth, samples, calibration, metres)
 
-    def solved(self) -> DepthCalibration:
-        """Scale and shift, and how sure they are by the ground: what the vehicles say is said by their graph."""
-        x, prior = np.zeros(5), np.diag(1.0 / self.known**2)
-        for _ in range(DEPTH_SCALE.iterations):
-            off = self.residuals(x)
-            by = np.stack([(self.residuals(x + step) - off) / _STEP for step in _STEP * np.eye(5)], axis=1)
-            weighted = by / np.square(1.0 + np.square(off / DEPTH_SCALE.loss_sigmas))[:, None]  # Geman and McClure's
-            x = x - np.linalg.solve(weighted.T @ by + prior, weighted.T @ off + prior @ x)
-        said = 0.0 if self.plane is None else weighted.T @ by
-        covariance = np.linalg.inv(said + prior)[:2, :2]
-        scale, shift = self.calibration(x)
-        units = np.diag([scale, self.typical])
-        found = units @ covariance @ units
-        return DepthCalibration(scale, shift, 0.5 * (found + found.T))
+    def calibration(self) -> DepthCalibration:
+        """The first scale and shift, as sure as by the ground: what the vehicles say is said by their graph."""
+        off = self.residuals(np.zeros(5))
+        by = np.stack([(self.residuals(step) - off) / _STEP for step in _STEP * np.eye(5)], axis=1)
+        weighted = by / np.square(1.0 + np.square(off / DEPTH_SCALE.loss_sigmas))[:, None]  # Geman and McClure's
+        units = np.diag([self.start[0], self.typical]) * (1.0 if self.plane is None else DEPTH_SCALE.inflation)
+        found = units @ np.linalg.inv(weighted.T @ by + np.diag(1.0 / self.known**2))[:2, :2] @ units
+        return DepthCalibration(*self.start, 0.5 * (found + found.T))
 
 
 def _off(depth: DepthMap, samples: _Samples, calibration: tuple[float, float], metres: Array) -> Array:
