@@ -97,7 +97,7 @@ def test_what_is_no_file_may_be_both(tmp_path):
 READ = {
     *("files", "calib", "camera", "prior", "calibration", "boxes", "weights", "image", "images", "names", "models"),
     *("source", "poses", "tracks", "recording", "fold", "labels", "split", "first", "second", "category", "imagenet"),
-    *("start", "marks", "street", "settings", "trained", "cfg", "silhouettes", "lidar", "lidar_pose"),
+    *("start", "marks", "street", "settings", "trained", "cfg", "silhouettes", "lidar", "lidar_pose", "depth", "right"),
 }
 
 
