@@ -117,6 +117,7 @@ ROOMS = {
             "core",
             "io",
             "io/datasets",
+            "research/io",
             "research/io/annotations",
             "perception",
             "perception/keypoints",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fgrecon.core.choices import DepthScale
+from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.io.bag_drive import LidarTopic
@@ -67,6 +68,14 @@ class SensorOptions:
             rich_help_panel=_SENSORS,
         ),
     ] = None
+    masks: Annotated[
+        str | None,
+        typer.Option(
+            metavar=_FILES,
+            help="Masks of the vehicles: PNG of ids, named as the images, or COCO JSON.",
+            rich_help_panel=_SENSORS,
+        ),
+    ] = None
 
     def source(self, camera: CameraSource) -> SensorSource | None:
         """The files as the library takes them; None where none are given.
@@ -76,8 +85,7 @@ class SensorOptions:
         """
         from fgrecon.perception.sensor_source import SensorSource
 
-        depth = self.depth, self.depth_scale, self.depth_inverse
-        made = SensorSource(self.lidar, self.lidar_pose, camera, *depth, self.right)
+        made = SensorSource(camera=camera, **vars(self))
         return made if made.given else None
 
     def of_video(self, video: str, camera: CameraSource) -> SensorSource | LidarTopic | None:
@@ -92,4 +100,8 @@ class SensorOptions:
         files = self.lidar is not None and any(glob(self.lidar))  # noqa: PTH207 - the pattern may be absolute
         if self.lidar is None or files or not is_bag(video):
             return self.source(camera)
+        if self.masks is not None:
+            raise InvalidInputError(
+                "masks", self.masks, "Leave it out: beside a bag's own LiDAR nothing else is taken."
+            )
         return LidarTopic(self.lidar, self.lidar_pose)

@@ -472,7 +472,7 @@ class _Coco:
 
     def of_image(self, image: Path, size: tuple[int, int] | None, least_score: float, *, scale: bool) -> FileBoxes:
         """The boxes of an image, those of a lower score left out."""
-        ids, ratio = self._ids(image), np.ones(4)
+        ids, ratio = self.ids(image), np.ones(4)
         for number, picture in enumerate(self.pictures or ()):
             if plain_id(picture.get("id")) in ids:
                 stated = read_size(Fields(picture, f"{self.file}: images[{number}]."))
@@ -500,7 +500,8 @@ class _Coco:
                 found.cars.append(NamedBox(str(number), corners, BoxModel.SURFACE, score, number_of, kind))
         return replace(found, low=low, crowds=crowds, images=+found.images)
 
-    def _ids(self, image: Path) -> set[int | str | None]:
+    def ids(self, image: Path) -> set[int | str | None]:
+        """Those of an image."""
         if self.pictures is not None:
             return {plain_id(number) for number in _of_image(self.pictures, image, self.file)}
         names = {place for place in self.entries if place is not None}
@@ -512,6 +513,19 @@ class _Coco:
         number = plain_id(fields.data.get("category_id"))
         known: Mapping[Any, str] = _COCO_CLASSES if self.kinds is None else self.kinds
         return _word(known.get(number, number))
+
+
+def coco_entries(file: Path, image: Path) -> list[tuple[Fields, tuple[int, int] | None]]:
+    """COCO's annotations or results of an image, each with the size of the image where that is stated.
+
+    Raises:
+        InvalidInputError: The file has none, or several of its images may be meant.
+    """
+    coco = _coco(file, _changed(file))
+    ids = coco.ids(image.parent / image.stem)
+    pictures = (one for one in coco.pictures or () if plain_id(one.get("id")) in ids)
+    size = next((read_size(Fields(one, f"{file}: images.")) for one in pictures), None)
+    return [(fields, size) for place in ids for _, fields in coco.entries.get(place, ())]
 
 
 def _of_image(pictures: Sequence[Mapping[str, Any]], image: Path, file: Path) -> list[Any]:

@@ -39,6 +39,9 @@ from fgrecon.io.files import write_bytes, write_text
 from fgrecon.io.integrity import check_hash
 from fgrecon.io.json_fields import Fields, parse_json, read_json, within
 
+CUBOID = "cuboid14"
+"""Category of vehicles whose shape no prior has: a cuboid, on which `car14`'s keypoints lie."""
+
 PRIOR_FORMAT = "fgrecon.shape_prior/1"
 _SURFACE = ("surface_mean", "surface_basis", "surface_faces")
 _ARRAYS = ("mean", "basis", "offset_sigma", "explained")
@@ -84,6 +87,41 @@ def load_prior(source: ShapePrior | str | Path) -> ShapePrior:
     if isinstance(source, str) and source in shipped_priors():
         return _shipped_prior(source)
     return _prior_from_npz(str(source), _read(Path(source), "prior", shipped_priors()))
+
+
+@lru_cache
+def shipped_cuboid(keypoints: tuple[str, ...]) -> ShapePrior | None:
+    """The coarse shape of vehicles that are no cars, with keypoints of these names; None where it has others.
+
+    It is a cuboid of eight corners, each side of which is parted into cells, on which the keypoints lie.
+    """
+    data = _json(f"{CUBOID}.json", _folder("sizes").joinpath(f"{CUBOID}.json").read_bytes())
+    category = load_category(CUBOID)
+    if category.keypoints != keypoints:
+        return None
+    length, width, height = data["size"]
+    scale = np.array([length, height, width])
+    mean = scale * np.array([data["keypoints"][name] for name in keypoints])
+    corners, cells = scale * np.array(data["corners"], dtype=np.float64), dict(zip("xzy", data["cells"], strict=True))
+    sides = [_side(corners[quad], cells) for quad in np.array(data["quads"])]
+    vertices = np.concatenate([points for points, _ in sides])
+    starts = np.cumsum([0, *(len(points) for points, _ in sides[:-1])])
+    faces = np.concatenate([start + triangles for start, (_, triangles) in zip(starts, sides, strict=True)])
+    change = np.array(data["spread"])[:, None, None] * np.eye(3)[[0, 2, 1]][:, None]  # of x, z and y
+    surface = Surface(vertices, vertices * change, faces.astype(np.int32))
+    sigma, third = np.full(len(keypoints), float(data["offset_sigma"])), np.full(3, 1.0 / 3.0)
+    return ShapePrior(category, mean, mean * change, sigma, third, surface, "cuboid")
+
+
+def _side(corners: NDArray[np.float64], cells: Mapping[str, int]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Vertices (V, 3) and triangles (F, 3) of a side with corners (4, 3) in their order around, in cells by axis."""
+    along, across = corners[1] - corners[0], corners[3] - corners[0]
+    first, second = (cells["xyz"[int(np.abs(edge).argmax())]] for edge in (along, across))
+    u, v = np.meshgrid(np.linspace(0.0, 1.0, first + 1), np.linspace(0.0, 1.0, second + 1), indexing="ij")
+    vertices = corners[0] + u.reshape(-1, 1) * along + v.reshape(-1, 1) * across
+    at = (np.arange(first)[:, None] * (second + 1) + np.arange(second)).ravel()
+    one, other = np.stack([at, at + second + 1, at + second + 2], 1), np.stack([at, at + second + 2, at + 1], 1)
+    return vertices, np.concatenate([one, other])
 
 
 @lru_cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes, sweep_of
 from fgrecon.io.sensors.clouds import CLOUDS
 from fgrecon.io.sensors.depth_files import DEPTHS, read_depth
 from fgrecon.io.sensors.lidar_place import Place, lidar_place
+from fgrecon.io.sensors.mask_files import MASKS, read_masks
 from fgrecon.io.sensors.points import read_points
 from fgrecon.io.sensors.sensor_files import SensorFiles
 from fgrecon.perception.stereo import stereo_depth
@@ -36,6 +38,7 @@ class SensorSource:
     Attributes:
         lidar: Points: a file, a folder with one for each image, of its name, or a pattern.
         lidar_pose: File with the motion from the LiDAR's frame to the camera's.
+        masks: Masks of the vehicles: as `lidar`, or COCO JSON of all images.
         camera: What is given of the camera.
         depth: Depth maps, in the same way.
         depth_scale: Whether their numbers are metres.
@@ -45,6 +48,7 @@ class SensorSource:
 
     lidar: str | None = None
     lidar_pose: Path | None = None
+    masks: str | None = None
     camera: CameraSource = field(default_factory=CameraSource)
     depth: str | None = None
     depth_scale: DepthScale = DepthScale.METRIC
@@ -67,31 +71,23 @@ class SensorSource:
     @property
     def given(self) -> bool:
         """Whether there is anything."""
-        return any(one is not None for one in (self.lidar, self.depth, self.right))
+        return bool(self._files)
 
     def to_dict(self) -> dict[str, str]:
         """What is given, for the settings of a run: a file or a folder by its absolute path."""
-        named = {"lidar": self.lidar, "lidar_pose": self.lidar_pose, "depth": self.depth, "right": self.right}
-        found = {name: str(Path(one).absolute()) for name, one in named.items() if one is not None}
+        names = "lidar", "lidar_pose", "masks", "depth", "right"
+        given = {name: one for name in names if (one := getattr(self, name)) is not None}
+        found = {name: str(Path(one).absolute()) for name, one in given.items()}
         if self.depth is not None:
             found |= {"depth_scale": self.depth_scale.value, "depth_inverse": str(self.depth_inverse).lower()}
         return found
 
-    @property
-    def _clouds(self) -> SensorFiles | None:
-        return None if self.lidar is None else SensorFiles("lidar", self.lidar, CLOUDS)
-
-    @property
-    def _depths(self) -> SensorFiles | None:
-        return None if self.depth is None else SensorFiles("depth", self.depth, DEPTHS)
-
-    @property
-    def _rights(self) -> SensorFiles | None:
-        return None if self.right is None else SensorFiles("right", self.right, IMAGES)
-
-    @property
+    @cached_property
     def _files(self) -> list[SensorFiles]:
-        return [files for files in (self._clouds, self._depths, self._rights) if files is not None]
+        """The files that are given, of each kind."""
+        given = ("lidar", CLOUDS), ("masks", MASKS), ("depth", DEPTHS), ("right", IMAGES)
+        named = [(name, getattr(self, name), endings) for name, endings in given]
+        return [SensorFiles(name, value, endings) for name, value, endings in named if value is not None]
 
     def check(self, images: Iterable[str]) -> None:
         """Refuse files of which none is of one of the images.
@@ -117,19 +113,20 @@ class SensorSource:
         Raises:
             InvalidInputError: A file cannot be used, or nothing says where its sensor is.
         """
-        cloud, depth, right = (
-            None if files is None else self._file(files, path) for files in (self._clouds, self._depths, self._rights)
-        )
+        given = ((one, file) for one in self._files if (file := self._file(one, path)) is not None)
         found: list[Evidence] = []
-        if cloud is not None:
-            place = lidar_place(cloud, path, self.camera, self.lidar_pose)
-            found.append(Points(read_points(cloud, place), origin=_origin(place)))
-        if depth is not None:
-            per_metre = None if self.depth_scale is DepthScale.METRIC and not self.depth_inverse else 1.0
-            numbers = read_depth(depth, per_metre)
-            found.append(DepthMap(numbers, scale=self.depth_scale, inverse=self.depth_inverse))
-        if right is not None:
-            found.append(self._of_pair(path, right))
+        for one, file in given:
+            if one.field == "lidar":
+                place = lidar_place(file, path, self.camera, self.lidar_pose)
+                found.append(Points(read_points(file, place), origin=_origin(place)))
+            elif one.field == "masks":
+                found += read_masks(file, path)
+            elif one.field == "depth":
+                per_metre = None if self.depth_scale is DepthScale.METRIC and not self.depth_inverse else 1.0
+                numbers = read_depth(file, per_metre)
+                found.append(DepthMap(numbers, scale=self.depth_scale, inverse=self.depth_inverse))
+            else:
+                found.append(self._of_pair(path, file))
         return tuple(found)
 
     def _of_pair(self, path: Path, right: Path) -> DepthMap:

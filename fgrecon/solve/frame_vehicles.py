@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -14,6 +14,7 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
+from fgrecon.solve.class_filter import ClassBelief, with_model
 from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
 from fgrecon.solve.ground_filter import CameraFrame, KnownGround
 from fgrecon.solve.image_facing import estimate_pose_facing
@@ -44,11 +45,13 @@ class VehicleTrack:
         vehicle: The vehicle.
         last: The frame of a camera in which it was observed last.
         contexts: Of each frame of its past.
+        classes: Of which class it is, by its frames; None where none says.
     """
 
     vehicle: VehicleFilter
     last: CameraFrame
     contexts: tuple[FrameContext, ...]
+    classes: ClassBelief | None = None
 
 
 @dataclass(frozen=True)
@@ -58,10 +61,12 @@ class FrameVehicles:
     Attributes:
         updates: By id.
         refused: Why others could not be looked at, by id.
+        classes: Of which class each is, by id; None where nothing says.
     """
 
     updates: Mapping[int, VehicleUpdate]
     refused: Mapping[int, FgreconError]
+    classes: Mapping[int, ClassBelief | None]
 
     def poses(self) -> list[Array]:
         """Pose (4, 4) of each that was looked at."""
@@ -93,16 +98,17 @@ def look_at_vehicles(
     """
     updates: dict[int, VehicleUpdate] = {}
     refused: dict[int, FgreconError] = {}
+    classes: dict[int, ClassBelief | None] = {}
     for name, observation in observations.items():
         try:
             track = tracks.get(name)
-            # A vehicle's shape is told from the mean of one model, so that of its first frame stays.
-            model_of = setup.model_of([observation]) if track is None else track.vehicle.past[-1].problem.model
+            vehicle, classes[name] = _as_class(observation, track, frame, setup)
+            model_of = setup.model_of([observation]) if vehicle is None else vehicle.past[-1].problem.model
             problem = Problem.of(observation, frame.camera, model_of, ground, setup.options)
-            if track is None:
+            if vehicle is None or track is None:
                 updates[name] = first_observed(model, problem, frame.time)
             else:
-                updates[name] = track.vehicle.observed(problem, frame.time, _step(track.last, frame))
+                updates[name] = vehicle.observed(problem, frame.time, _step(track.last, frame))
         except FgreconError as error:
             refused[name] = error
     for name, update in [*updates.items()]:
@@ -114,7 +120,29 @@ def look_at_vehicles(
         except FgreconError as error:
             refused[name] = error
             del updates[name]
-    return FrameVehicles(updates, refused)
+    return FrameVehicles(updates, refused, classes)
+
+
+def _as_class(
+    observation: Observation, track: VehicleTrack | None, frame: CameraFrame, setup: SolveSetup
+) -> tuple[VehicleFilter | None, ClassBelief | None]:
+    """A vehicle, with its frames made for the class that this one and those before say, and what they say."""
+    said = setup.classes_of([observation])
+    vehicle, before = (None, None) if track is None else (track.vehicle, track.classes)
+    if said is None:
+        return vehicle, before
+    if vehicle is None or track is None:
+        return None, ClassBelief.first(said)
+    if before is None:
+        belief = replace(ClassBelief.first(said), modelled={})
+    else:
+        place = observation.place
+        height = 0.0 if place is None else float(place[3] - place[1])
+        belief = before.updated(said, frame.time - track.last.time, height)
+    if not belief.outdated:
+        return vehicle, belief
+    belief = belief.renewed
+    return with_model(vehicle, setup.model_for(belief.probability)), belief
 
 
 def _step(before: CameraFrame, now: CameraFrame) -> FrameStep:

@@ -28,7 +28,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import CLASSES, SizePrior, SizesLike, check_order, other_fleets, size_prior
 from fgrecon.core.stereo_pair import StereoPair
 from fgrecon.core.vehicle_class import VehicleClass
-from fgrecon.io.catalogue import load_prior, shipped_class_sizes
+from fgrecon.io.catalogue import load_prior, shipped_class_sizes, shipped_cuboid
 from fgrecon.io.image_size import scale_between
 from fgrecon.solve.vehicle.model import VehicleModel, prepare, sized
 
@@ -101,13 +101,27 @@ class SolveSetup:
         Raises:
             InvalidInputError: A class is none of its scheme.
         """
+        said = self.classes_of(observations)
+        return self.model if said is None else self.model_for(said)
+
+    @staticmethod
+    def classes_of(observations: Sequence[Observation]) -> dict[str, float] | None:
+        """Probability of each class by what observations say of a vehicle, averaged; None where they say nothing.
+
+        Raises:
+            InvalidInputError: A class is none of its scheme.
+        """
         said = [one for seen in observations for one in seen.evidence if isinstance(one, VehicleClass)]
         if not said:
-            return self.model
+            return None
         sizes = shipped_class_sizes()
         found = [sizes.probabilities(one.probabilities, one.scheme.value) for one in said]
-        share = {name: round(float(np.mean([one[name] for one in found])), 2) for name in CLASSES}
-        return _of_class(self.prior, self.fleet, self.options.shape.basis_vectors, tuple(share.items()))
+        return {name: float(np.mean([one[name] for one in found])) for name in CLASSES}
+
+    def model_for(self, classes: Mapping[str, float]) -> VehicleModel:
+        """The prior prepared for a vehicle that is of each class with a probability."""
+        share = tuple((name, round(value, 2)) for name, value in classes.items())
+        return _of_class(self.prior, self.fleet, self.options.shape.basis_vectors, share)
 
 
 @lru_cache(maxsize=64)  # one object for one class, so that what is prepared for it is found again
@@ -129,7 +143,8 @@ def _of_class(
     if car is fleet is not None and probabilities["car"] == 1.0:
         return prepare(prior, fleet, basis_vectors)
     size = sizes.size(probabilities, car, any_fleet=not of_sizes)
-    return sized(prepare(prior, None, basis_vectors), size)
+    coarse = shipped_cuboid(prior.category.keypoints) if size.larger else None
+    return sized(prepare(prior, None, basis_vectors) if coarse is None else prepare(coarse), size)
 
 
 def _usual_size(prior: ShapePrior) -> Array:

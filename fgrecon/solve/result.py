@@ -35,6 +35,7 @@ from fgrecon.core.result_fields import Regions
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import LONGEST, SHORTEST
 from fgrecon.core.text import counted
+from fgrecon.io.catalogue import CUBOID
 from fgrecon.solve.box_check import box_excess
 from fgrecon.solve.graph.covariance import Covariances, Spread, covariance_of, marginals_of, read_covariances
 from fgrecon.solve.graph.graph import Graph, GraphObservation
@@ -261,7 +262,8 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
             float(diagnostics["point_weights"].sum()),
         )
         if problem.model.size is not None and (larger := problem.model.size.larger):
-            reasons = (*reasons, f"the shape of a {' or '.join(larger)} is a stretched {category.name}'s")
+            coarse = "a cuboid" if category.name == CUBOID else f"a stretched {category.name}'s"
+            reasons = (*reasons, f"the shape of a {' or '.join(larger)} is {coarse}")
         excess = box_excess(problem, camera_T_object, coefficients, camera)
     found = Reconstruction(
         status=status,

@@ -207,7 +207,7 @@ class Tracker:
             before = self._tracks.get(name)
             context = FrameContext(time, frame.world_T_camera, grounded)
             contexts = (context,) if before is None else (*before.contexts, context)
-            tracks[name] = VehicleTrack(vehicle, frame, contexts[-len(vehicle.past) :])
+            tracks[name] = VehicleTrack(vehicle, frame, contexts[-len(vehicle.past) :], vehicles.classes[name])
         found = {name: self._estimate(name, track) for name, track in tracks.items()}
         self._tracks, self._road, self.refused = self._tracks | tracks, road, refused
         return found

@@ -98,3 +98,25 @@ def test_a_batch_has_the_scan_of_each_image(sample, tmp_path):
         places[name] = pq.read_table(out).column("z").to_pylist()
     assert len(places["alone"]) == len(places["lidar"])
     assert places["alone"] != places["lidar"]
+
+
+def test_masks_of_an_image_are_the_vehicles(sample, tmp_path):
+    import cv2
+
+    from fgrecon.io.catalogue import load_prior
+    from fgrecon.simulation.sample import sample_street
+
+    street = sample_street(load_prior("car14"))
+    ids = np.zeros(street.image.shape[:2], dtype=np.uint16)
+    cars = sorted(enumerate(street.cars), key=lambda one: -one[1].truth.camera_T_object[2, 3])
+    for number, car in cars:  # the nearest last
+        pose, vehicle = car.truth.camera_T_object, car.truth.vehicle
+        pixels = street.camera.project(vehicle.vertices @ pose[:3, :3].T + pose[:3, 3])
+        for face in vehicle.faces:
+            cv2.fillConvexPoly(ids, np.round(pixels[face] * 16.0).astype(np.int32), number + 1, shift=4)
+    cv2.imwrite(str(tmp_path / "street.png"), ids)
+    given = sample / "cars.json", "--image", sample / "street.png"
+    done = run("reconstruct", *given, "--masks", tmp_path / "street.png", "--json", tmp_path / "m.json")
+    assert done.exit_code == 0, done.output
+    kinds = [one["result"]["evidence"] for one in json.loads((tmp_path / "m.json").read_text())["instances"]]
+    assert all(one["mask"] > 1.0 for one in kinds)

@@ -1,7 +1,9 @@
 """Files of other sensors as evidence of an image: placed by whatever says where the sensor is."""
 
+import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -81,3 +83,41 @@ def test_a_right_image_makes_a_depth_map(tmp_path: Path) -> None:
         assert np.nanmedian(depth.depth) == pytest.approx(10.0, abs=0.1)  # 300 px * 0.5 m / 15 px
         with pytest.raises(InvalidInputError, match="right"):
             source.evidence(Path("000000.png"))
+
+
+def test_masks_are_of_ids_or_of_coco(tmp_path: Path) -> None:
+    ids = np.zeros((40, 60), dtype=np.uint16)
+    ids[8:21, 10:31], ids[5:15, 40:50], ids[30:, :] = 26001, 26002, 10000
+    folder = tmp_path / "masks"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "000004.png"), ids)
+    one, other = SensorSource(masks=str(folder)).evidence(Path("000004.jpg"))
+    assert one.box.tolist() == [10, 8, 30, 20]
+    assert other.box.tolist() == [40, 5, 49, 14]
+    assert SensorSource(masks=str(folder)).evidence(Path("000005.jpg")) == ()
+    columns = (ids == 26001).T.ravel()
+    ends = np.flatnonzero(np.diff(columns.astype(int))) + 1
+    rle = {"size": [40, 60], "counts": np.diff([0, *ends, columns.size]).tolist()}
+    polygon = [[40, 5, 49, 5, 49, 14, 40, 14]]
+    coco = {
+        "images": [{"id": 7, "file_name": "000004.jpg", "width": 60, "height": 40}, {"id": 8, "file_name": "b.jpg"}],
+        "categories": [{"id": 3, "name": "car"}],
+        "annotations": [
+            {"id": 1, "image_id": 7, "category_id": 3, "bbox": [10, 8, 21, 13], "segmentation": rle},
+            {"id": 2, "image_id": 7, "category_id": 3, "bbox": [40, 5, 10, 10], "segmentation": polygon},
+            {"id": 3, "image_id": 8, "category_id": 3, "bbox": [0, 0, 10, 10], "segmentation": polygon},
+            {"id": 4, "image_id": 7, "category_id": 3, "bbox": [0, 0, 10, 10]},
+        ],
+    }
+    file = tmp_path / "coco.json"
+    file.write_text(json.dumps(coco))
+    again = SensorSource(masks=str(file)).evidence(Path("000004.jpg"))
+    assert [mask.box.tolist() for mask in again] == [one.box.tolist(), other.box.tolist()]
+    assert SensorSource(masks=str(file)).to_dict() == {"masks": str(file)}
+    coco["annotations"] = [{"image_id": 7, "category_id": 3, "segmentation": {"size": [40, 60], "counts": [3]}}]
+    file.write_text(json.dumps(coco))
+    with pytest.raises(InvalidInputError, match=r"coco\.json: \[0\]\.segmentation"):
+        SensorSource(masks=str(file)).evidence(Path("000004.jpg"))
+    cv2.imwrite(str(folder / "000004.png"), np.zeros((40, 60, 3), np.uint8))
+    with pytest.raises(InvalidInputError, match=r"masks.*3 channels"):
+        SensorSource(masks=str(folder)).evidence(Path("000004.jpg"))

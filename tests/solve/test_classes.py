@@ -1,5 +1,7 @@
 """A class that is given for a vehicle tells its size, and nothing of vehicles that have none."""
 
+import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +13,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.size_prior import SIZE_PRIORS
-from fgrecon.io.catalogue import load_prior
+from fgrecon.io.catalogue import load_prior, shipped_cuboid
 from fgrecon.solve.inputs import SolveSetup
 from tests.cars import CAMERA, observe, yaw_pose
 
@@ -82,13 +84,85 @@ def test_a_tracked_vehicle_keeps_what_its_first_frame_said(van):
         assert found[0].reconstruction.shape.prior == "car14 of van"
 
 
-def test_a_lorry_says_that_its_shape_is_a_stretched_one():
-    size = np.array([10.0, 2.5, 3.2])
-    lorry = load_prior("car14").for_fleet(fgrecon.SizePrior("lorry", size, 0.05 * size))
-    told = fgrecon.reconstruct(seen(lorry), CAMERA, evidence=[VehicleClass("Truck", "kitti")])
+def followed(frames):
+    """The prior that each frame of a tracked vehicle was solved with, and where it was, by its class in each."""
+    tracker = fgrecon.Tracker(size_prior="kitti")
+    found = []
+    for t, (vehicle, evidence) in enumerate(frames):
+        estimate = tracker.update(t / 3.0, {0: seen(vehicle, evidence=evidence)}, camera=CAMERA, ground=1.65)[0]
+        found.append(estimate.reconstruction)
+    smoothed = tracker.smooth()[0]
+    assert {one.reconstruction.shape.prior for one in smoothed} == {found[-1].shape.prior}
+    return found
+
+
+def test_frames_decide_together_of_which_class_a_vehicle_is(van):
+    unsure, sure = (VehicleClass({"car": 0.6, "van": 0.4}),), (VehicleClass({"van": 0.8, "car": 0.2}),)
+    found = followed([(van, unsure), (van, unsure), (van, sure), (van, sure), (van, ())])
+    names = [one.shape.prior for one in found]
+    assert "car 0.60" in names[0]
+    shares = [float(re.search(r"van (\d\.\d+)|$", name)[1] or 0.0) for name in names]
+    assert shares[2] == 0.4  # not enough to make all frames anew
+    assert shares[3] > 0.8
+    assert shares[4] == shares[3]
+    truth = van.box_size(np.zeros(van.dimension))
+    assert np.abs(found[-1].box_size - truth).mean() < 0.6 * np.abs(found[0].box_size - truth).mean()
+    assert np.linalg.norm(found[-1].location - PLACES[0]) < np.linalg.norm(found[0].location - PLACES[0])
+
+
+def test_a_class_may_come_later(van):
+    said = (VehicleClass("van"),)
+    names = [one.shape.prior for one in followed([(van, ()), (van, ()), (van, said)])]
+    assert names == ["car14 of kitti", "car14 of kitti", "car14 of van"]
+
+
+LORRY = np.array([9.0, 2.5, 3.4])
+
+
+@pytest.fixture(scope="module")
+def lorry():
+    """The coarse prior, of a lorry's size."""
+    cuboid = shipped_cuboid(load_prior("car14").category.keypoints)
+    return cuboid.for_fleet(fgrecon.SizePrior("lorry", LORRY, 0.05 * LORRY))
+
+
+def test_a_lorry_is_a_cuboid_and_says_so(lorry):
+    one = seen(lorry, (2.0, 1.65, 25.0))
+    alone = fgrecon.reconstruct(one, CAMERA, ground=1.65, size_prior="kitti")
+    told = fgrecon.reconstruct(one, CAMERA, ground=1.65, size_prior="kitti", evidence=[VehicleClass("Truck", "kitti")])
     assert told.status is Status.WEAK
-    assert "the shape of a lorry is a stretched car14's" in told.reasons
-    assert told.box_size[0] > 7.0
+    assert "the shape of a lorry is a cuboid" in told.reasons
+    assert told.shape.category == "cuboid14"
+    assert told.shape.keypoint_names == load_prior("car14").category.keypoints
+    assert np.abs(told.box_size - LORRY).max() < 1.0  # lorries are 10 m long on average
+    assert off(told, (2.0, 1.65, 25.0)) < 1.0 < off(alone, (2.0, 1.65, 25.0))
+    vertices = told.shape.surface_vertices
+    corners = np.abs(vertices / told.box_size[[0, 2, 1]])  # x, y and z
+    assert corners.max(axis=0) == pytest.approx([0.5, 1.0, 0.5], abs=0.02)
+    assert json.loads(json.dumps(told.to_dict()))["category"] == "cuboid14"
+
+
+def test_a_lorry_has_points_on_its_sides(lorry):
+    place = np.array([2.0, 1.65, 25.0])
+    one = seen(lorry, tuple(place))
+    rotation = yaw_pose(2.0)[:3, :3]
+    vertices = lorry.surface.mean
+    sensor = rotation.T @ -place
+    shown = [(0, np.sign(sensor[0]) * 0.5 * LORRY[0]), (2, np.sign(sensor[2]) * 0.5 * LORRY[1])]
+    sides = np.concatenate([vertices[np.isclose(vertices[:, axis], value, atol=1e-6)] for axis, value in shown])
+    points = fgrecon.Points(sides @ rotation.T + place, 0.05)
+    told = VehicleClass("lorry"), points
+    found = fgrecon.reconstruct(one, CAMERA, ground=1.65, evidence=told)
+    assert off(found, place) < 0.4
+    assert found.diagnostics.point_weights.mean() > 0.5
+
+
+def test_a_tracked_car_becomes_a_lorry(lorry):
+    said = (), (VehicleClass("lorry"),), (VehicleClass("lorry"),)
+    found = followed([(lorry, one) for one in said])
+    assert found[0].shape.category == "car14"
+    assert found[-1].shape.category == "cuboid14"
+    assert np.abs(found[-1].box_size - LORRY).max() < np.abs(found[0].box_size - LORRY).max()
 
 
 def test_a_class_that_there_is_not_is_refused():

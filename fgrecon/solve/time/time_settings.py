@@ -38,6 +38,11 @@ class TimeSettings:
     path_m: float = 2.0  # that it must have gone
     place_sigma_m: float = 0.3  # how exactly its place is known, beside what grows with depth
     place_sigma_per_m: float = 0.05
+    # The class over time
+    class_correlation_s: float = 0.3  # what frames of so much time say together is what one of them says; not tuned
+    least_class_probability: float = 0.02  # that any frame leaves to a class; not tuned
+    class_change: float = 0.3  # of a class's probability, from which on a vehicle's frames are made anew; not tuned
+    farthest_coefficient: float = 3.0  # at which a shape of another class begins; not tuned
     # The window
     window_iterations: int = 4  # most of a window was solved with the frame before
     window_span_s: float = 4.0  # older frames leave, but for the last two

@@ -15,6 +15,7 @@ from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import Points
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.images import read_image
@@ -48,6 +49,11 @@ class _Member:
         """Its labelled box in the camera's frame."""
         return _box(self.frame, self.row)
 
+    def with_points(self, points: Points) -> _Member:
+        """It, with a scan as evidence."""
+        observation = self.found.observation.with_evidence([points])
+        return replace(self, found=replace(self.found, observation=observation))
+
     def left_out(self, reason: Reason) -> LeftOut:
         """It, without keypoints."""
         return _left_out(self.frame, self.row, reason)
@@ -61,6 +67,7 @@ def annotate(
     how: KnownBoxOptions | None = None,
     progress: Callable[[Sequence[Any], str], Iterable[Any]] = lambda things, _: things,
     unboxed: Unboxed | None = None,
+    points: Callable[[DriveFrame], Points | None] | None = None,
 ) -> tuple[list[Annotation], list[LeftOut]]:
     """Find the keypoints of a drive's vehicles, all images of each together.
 
@@ -72,6 +79,7 @@ def annotate(
         how: How exact the boxes are.
         progress: Shows how far each loop is.
         unboxed: What is known of vehicles without 3D boxes, which then are reconstructed; None leaves them out.
+        points: A LiDAR's points of a frame, which tell where a vehicle is and how it is shaped; None where it has none.
 
     Returns:
         The annotations by frame and track; and every other object of the selected kinds, with the reason.
@@ -89,7 +97,9 @@ def annotate(
         left += unselected
         usable = frame.boxed[rows] | (unboxed is not None)
         left += [_left_out(frame, row, Reason.NO_BOX) for row in rows[~usable]]
-        for member in _seen(frame, rows[usable], detector, prior, left):
+        members = _seen(frame, rows[usable], detector, prior, left)
+        scan = None if points is None or not members else points(frame)
+        for member in members if scan is None else [one.with_points(scan) for one in members]:
             (boxed[member.track] if frame.boxed[member.row] else others).append(member)
     found: list[tuple[_Member, Fit | Reason]] = []
     for _, members in progress(sorted(boxed.items()), "Shapes"):

@@ -26,6 +26,7 @@ from fgrecon.calibration.setup import Setup
 from fgrecon.core.camera import Camera
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import DegenerateProblemError
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.geometry import transform, view_azimuth
 from fgrecon.core.half_turn import HALF_TURN
 from fgrecon.core.metrics import FAILURE_DEGREES
@@ -42,6 +43,7 @@ from fgrecon.video.association import GatedAssociation
 from fgrecon.video.follow import Follower
 from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import FrameRecord, Sighting
+from fgrecon_research.io.drive_sensors import scan_of
 
 Array = NDArray[np.float64]
 
@@ -140,6 +142,7 @@ def follow_boxes(
     *,
     forget_ids: bool = False,
     estimate_motion: bool = False,
+    lidar: bool = False,
     advance: Callable[[str], None] = lambda _: None,
 ) -> list[VideoBox]:
     """The boxes with outcomes of `ALONE` (where all were solved together), the votes, `ONLINE`, `BATCH` and more.
@@ -151,13 +154,15 @@ def follow_boxes(
         forget_ids: Whether the vehicles are given ids anew, by association.
         estimate_motion: Whether to follow with the camera's motion as well, which all images between the first and the
             last tell; it needs the ground.
+        lidar: Whether the points of each frame that has some are given to the tracker.
         advance: Called with the drive's name after each of these frames that was followed, with the motion once more.
     """
     found: list[VideoBox] = []
     for drive in drives:
         own = [frame for frame in frames if frame.drive == drive.name]
         setup = setups[drive.name]
-        found += _follow(own, drive, setup, advance, forget_ids=forget_ids, estimate_motion=estimate_motion)
+        how = {"forget_ids": forget_ids, "estimate_motion": estimate_motion, "lidar": lidar}
+        found += _follow(own, drive, setup, advance, **how)
     return found
 
 
@@ -199,9 +204,10 @@ def _follow(
     *,
     forget_ids: bool,
     estimate_motion: bool,
+    lidar: bool,
 ) -> list[VideoBox]:
     camera = drive.calibration.camera.with_size_of(read_image(drive.frames[0].image))  # as single images have it
-    follow = partial(_estimates, seen, drive, camera, setup, advance, forget_ids=forget_ids)
+    follow = partial(_estimates, seen, drive, camera, setup, advance, forget_ids=forget_ids, lidar=lidar)
     still = follow(moving=False)
     ways = [(ONLINE, BATCH, still)]
     if estimate_motion:
@@ -243,13 +249,21 @@ def _estimates(
     *,
     forget_ids: bool,
     moving: bool,
+    lidar: bool,
 ) -> _Followed:
     tracker = Tracker(
         prior=setup.prior, size_prior=setup.size_prior, options=setup.options, shared_ground=setup.together, past=None
     )
     largest = max((int(frame.tracks.max(initial=-1)) for frame in drive.frames), default=-1)
     association = GatedAssociation(first=largest + 1)
-    follower = Follower(tracker, association, camera, ground=setup.ground, moving=moving)
+    by_number = {frame.number: frame for frame in drive.frames}
+
+    def scan(record: FrameRecord) -> Sequence[Evidence]:
+        points = scan_of(by_number[record.number])
+        return () if points is None else (points,)
+
+    sense = scan if lidar else None
+    follower = Follower(tracker, association, camera, ground=setup.ground, moving=moving, sense=sense)
     online: dict[_Key, VehicleEstimate] = {}
     ids: dict[_Key, int] = {}
     places: dict[int, Array] = {}

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import Points
 from fgrecon.core.stereo_pair import StereoPair
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import calibration_beside
@@ -78,6 +79,15 @@ def right_image(frame: DriveFrame) -> StereoPair:
     motion = np.eye(4)
     motion[:3, 3] = right.label_offset - frame.calibration.label_offset
     return StereoPair(read_image(file), right.camera, motion)
+
+
+def scan_of(frame: DriveFrame) -> Points | None:
+    """The LiDAR's points of a frame as evidence; None where it has none.
+
+    Raises:
+        InvalidInputError: The file cannot be used.
+    """
+    return None if file_of(frame, Sensor.LIDAR) is None else Points(lidar_points(frame))
 
 
 def lidar_points(frame: DriveFrame) -> Array:

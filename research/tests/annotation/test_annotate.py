@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import Points
+from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.kitti_drives import read_drive, read_object_folder
 from fgrecon_research.annotation.annotate import LeftOut, Reason, Selection, annotate
+from fgrecon_research.annotation.known_box import KnownBoxOptions
 from fgrecon_research.annotation.labels import vehicle_labels
 from research.tests.annotation.streets import SIZE, Car, Told, write_drive
 
@@ -187,3 +190,32 @@ def test_against_keypoints_marked_by_hand(data, scene):
             errors.append(np.linalg.norm(one.keypoints - mark.keypoints, axis=1)[mark.visible] / mark.extent)
     assert counted == len(marks)
     assert np.median(np.concatenate(errors)) < 0.03
+
+
+def test_a_lidars_points_tell_the_shape_of_a_vehicle_whose_box_is_vague(scene, tmp_path):
+    """Points of a longer car than its box, which is not known well, say how long it is."""
+    car = scene.prior.for_fleet(SizePrior("longer", np.array([4.9, 1.75, 1.6]), np.full(3, 0.1)))
+    frames = [{7: replace(NEAR, location=(-2.0, 1.6, 9.0 + t))} for t in range(2)]
+    drive = read_drive(write_drive(tmp_path / "drive", scene.prior, frames))
+    pose = NEAR.pose()
+    assert car.surface is not None
+    sensor = -pose[:3, :3].T @ pose[:3, 3]
+    corners = car.surface.mean[car.surface.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    centres = corners.mean(axis=1)
+    shown = centres[((sensor - centres) * normals).sum(axis=1) > 0.0]
+
+    def points(frame):
+        place = np.array(frames[frame.number][7].location)
+        return Points(shown @ pose[:3, :3].T + place, 0.02) if frame.number == 0 else None
+
+    detector = Told(frames, scene.prior, noise=1.0)
+    how = KnownBoxOptions(shift_sigma=0.5, size_share=0.15)
+    lengths = {}
+    for name, more in (("alone", {}), ("lidar", {"points": points})):
+        made, left = annotate(drive, detector, scene.prior, how=how, **more)
+        assert not left
+        local = (made[0].vertices - made[0].camera_T_object[:3, 3]) @ made[0].camera_T_object[:3, :3]
+        lengths[name] = np.ptp(local[:, 0])
+    truth = np.ptp(car.surface.mean[:, 0])
+    assert abs(lengths["lidar"] - truth) < 0.6 * abs(lengths["alone"] - truth)

@@ -5,6 +5,7 @@ import shutil
 from contextlib import contextmanager
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -182,3 +183,19 @@ def test_a_trackers_boxes_take_the_place_of_labels(known, scene, drive, tmp_path
     assert "--camera-height" in str(alone.exception)
     several = run(drive, drive, "--tracks", tracks, "--camera-height", 1.6, "--out", out)
     assert "one drive" in str(several.exception)
+
+
+def test_lidar_is_taken_where_a_drive_has_it(known, drive, tmp_path):
+    refused = run(drive, "--lidar", "--out", tmp_path / "labels.json")
+    assert isinstance(refused.exception, InvalidInputError)
+    assert "lidar/FFFFFF.npz" in str(refused.exception)
+    (drive / "lidar").mkdir()
+    around = np.stack(np.meshgrid(np.arange(-250, -150, 5), np.arange(80, 160, 5), [860]), axis=-1).reshape(-1, 3)
+    np.savez(drive / "lidar" / "000000.npz", points_cm=around.astype(np.int16))
+    shapes = {}
+    for name, more in (("alone", ()), ("lidar", ("--lidar",))):
+        done = run(drive, *more, "--meshes", "--out", out := tmp_path / f"{name}.json")
+        assert done.exit_code == 0, done.output
+        shapes[name] = [one["keypoints"] for one in json.loads(out.read_text())["annotations"]]
+    assert len(shapes["lidar"]) == len(shapes["alone"])
+    assert shapes["lidar"] != shapes["alone"]

@@ -9,6 +9,7 @@ import pytest
 
 from fgrecon.calibration.labelled_boxes import SYSTEM
 from fgrecon.calibration.labelled_frames import score_frames
+from fgrecon.core.evidence import Points
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.half_turn import flipped_observation
 from fgrecon.io.kitti_drives import read_drive
@@ -192,3 +193,18 @@ def test_the_belief_of_a_sign_forgets():
     assert always[-1] == pytest.approx(gain / (1.0 - (1.0 - gain) * kept), rel=1e-6)
     turned = video_tracks._sign_belief(np.array([5.0] * 30 + [-0.1] * 30), [0.1 * i for i in range(60)])
     assert turned[29] > 0.0 > turned[-1]  # the vote of the sums would never turn
+
+
+def test_a_lidar_s_points_are_given_to_what_follows(folder, setup, scene, monkeypatch):  # noqa: F811
+    setup, drives = replace(setup, together=False), [read_drive(folder)]
+    given = []
+
+    def scan(frame):
+        given.append(frame.number)
+        return Points(np.array([[0.0, 1.0, 9.0], [0.2, 1.0, 9.0], [0.4, 1.0, 9.0], [0.0, 0.8, 9.0]]))
+
+    monkeypatch.setattr(video_tracks, "scan_of", scan)
+    frames = score_frames(drives, {"drive": setup})
+    followed = follow_boxes(frames, drives, {"drive": setup}, lidar=True)
+    assert given == [frame.number for frame in frames]
+    assert len(followed) == sum(len(frame.boxes) for frame in frames)

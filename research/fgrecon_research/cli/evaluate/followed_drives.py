@@ -57,9 +57,9 @@ def score_drives(
     if estimate_motion and labelled.ground == NOT_GIVEN:
         fix = "Give a ground, which tells how far the camera goes, or leave --estimate-motion out."
         raise InvalidInputError("estimate_motion", "no ground", fix)
-    if sensors and track:
-        fix = "Leave --track out: what follows vehicles takes pictures alone."
-        raise InvalidInputError("track", f"with {', '.join(sensors)}", fix)
+    if track and (others_of := [one for one in sensors if one is not Sensor.LIDAR]):
+        fix = "Leave --track out: what follows vehicles takes pictures and a LiDAR's points."
+        raise InvalidInputError("track", f"with {', '.join(others_of)}", fix)
 
     def read(folder: Path) -> Drive:
         drive = (open_video if track else open_drive)(folder)
@@ -80,6 +80,7 @@ def score_drives(
             scored.setups,
             forget_ids=forget_ids or how.detect,
             estimate_motion=estimate_motion,
+            lidar=Sensor.LIDAR in sensors,
             advance=counting(advance, "Followed", (1 + estimate_motion) * len(scored.frames)),
         )
     return replace(scored, boxes=boxes)

@@ -105,6 +105,10 @@ def label_command(
             "`fgrecon run`).",
         ),
     ] = None,
+    lidar: Annotated[
+        bool,
+        typer.Option("--lidar", help="Take the LiDAR's points of each frame that has some (lidar or velodyne beside)."),
+    ] = False,
     weights: WeightsOption = None,
     prior: PriorOption = "car14",
     meshes: Annotated[bool, typer.Option("--meshes", help="Also write each vehicle's surface.")] = False,
@@ -146,7 +150,7 @@ def label_command(
     detector = KeypointCascade(weights)
     with screen.bar() as advance:
         watch = partial(stepwise, advance=advance)
-        done = report.label_drives(drives, detector, shape_prior, watch, selection, known)
+        done = report.label_drives(drives, detector, shape_prior, watch, selection, known, lidar=lidar)
     labels = report.labels_of(done, shape_prior, detector.provenance, terms)
     report.show(screen, done, labels)
     screen.write_json(report.document(done, labels))

@@ -30,6 +30,7 @@ from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.annotation import Annotation
 from fgrecon_research.annotation.labels import vehicle_labels
 from fgrecon_research.annotation.unboxed import Unboxed
+from fgrecon_research.io.drive_sensors import Sensor, scan_of, with_sensors
 from fgrecon_research.training.keypoints.posed_cars import Progress
 
 _LEARNT = "Car", "Van", "Truck"  # of the last the direction and the kind
@@ -72,16 +73,25 @@ def label_drives(
     watch: Progress,
     selection: Selection | None = None,
     unboxed: Unboxed | None = None,
+    *,
+    lidar: bool = False,
 ) -> list[Labelled]:
-    """Label the vehicles of some drives; see `fgrecon_research.annotation.annotate`."""
+    """Label the vehicles of some drives; see `fgrecon_research.annotation.annotate`.
+
+    Raises:
+        InvalidInputError: As `annotate`; or LiDAR is requested, of which a drive has no file.
+    """
     done = []
     for drive in drives:
+        if lidar:
+            with_sensors(drive, [Sensor.LIDAR])  # refuse before the work
 
         def watched(things: Sequence[Any], heading: str, name: str = drive.name) -> Iterable[Any]:
             return watch(things, f"{name}: {heading}")
 
         with timed() as clock:
-            made, left = annotate(drive, detector, prior, selection, progress=watched, unboxed=unboxed)
+            points = scan_of if lidar else None
+            made, left = annotate(drive, detector, prior, selection, None, watched, unboxed, points)
         done.append(Labelled(drive, made, left, clock.seconds))
     return done
 
