@@ -60,7 +60,7 @@ class PointTerm:
             weights, energy = rows.assess(match, off)
             scale = root * np.sqrt(weights)
             total.energy[i] += energy
-            residual[i], jacobian[i] = scale * off, scale[:, None] * by
+            residual[i], jacobian[i] = scale * off, scale[:, None] * by[:, :size]  # what they share stays
         jacobian[..., 3:6] = jacobian[..., 3:6] @ h.rotation.transpose(0, 2, 1)
         total.add(residual, jacobian)
 
