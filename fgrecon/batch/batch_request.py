@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +76,8 @@ def reconstruct_files(request: BatchRequest, report: Callable[[Tally], None] = l
         boxes = request.boxes.file or request.boxes.least_score
         raise InvalidInputError("boxes", str(boxes), "Give images or videos: keypoint files have boxes of their own.")
     request.boxes.check_images(len(sources))
+    if (folder := _calibrations(request.camera)) is not None:
+        sources = [replace(source, calib=folder) for source in sources]
     camera = _camera(request.camera)
     reconstructor = _reconstructor(request, camera)
     tally = run(
@@ -94,12 +96,17 @@ def reconstruct_files(request: BatchRequest, report: Callable[[Tally], None] = l
 
 
 def _camera(source: CameraSource) -> Camera | None:
-    """The camera of all rows, or None."""
-    camera = source.camera()[0]
+    """The camera of all rows, or None; a folder of calibrations has one for each image."""
+    camera = None if _calibrations(source) is not None else source.camera()[0]
     if camera is None and source.crop is not None:
         value = f"{source.crop.left:g},{source.crop.top:g}"
         raise InvalidInputError("crop", value, "Give the whole image's camera too (--camera, --intrinsics).")
     return None if camera is None else source.complete(camera, declared=False)
+
+
+def _calibrations(source: CameraSource) -> Path | None:
+    """The folder with a calibration for each image, or None."""
+    return source.calib if source.calib is not None and source.calib.is_dir() else None
 
 
 def _reconstructor(request: BatchRequest, camera: Camera | None) -> Reconstructor:
@@ -128,6 +135,7 @@ def _settings(request: BatchRequest, camera: Camera | None) -> dict[str, Any]:
         **({} if request.names is None else {"names": request.names}),
         **({"scale_to_image": True} if request.camera.scale_to_image else {}),
         **({} if request.sensors is None else {"sensors": request.sensors.to_dict()}),
+        **({} if (folder := _calibrations(request.camera)) is None else {"calib": str(folder.absolute())}),
         **({} if boxes.file is None else {"boxes_file": str(boxes.file.absolute())}),
         **({} if boxes.least_score is None else {"min_score": boxes.least_score}),
     }

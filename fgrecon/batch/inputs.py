@@ -34,7 +34,7 @@ from fgrecon.io.catalogue import load_category
 from fgrecon.io.datasets import is_data_set, open_images
 from fgrecon.io.images import IMAGES
 from fgrecon.io.keypoints.records import NOT_JSON, keypoint_records
-from fgrecon.io.kitti_calibration import calibration_beside
+from fgrecon.io.kitti_calibration import calibration_beside, read_calibration
 from fgrecon.io.video_frames import VIDEOS, count_frames
 
 __all__ = ["IMAGES", "VIDEOS", "InputFile", "sources_of"]
@@ -54,12 +54,14 @@ class InputFile:
         every: Of a video every so many frames.
         category: The category whose keypoints are wanted.
         camera: Of an image of a data set its camera as JSON, or None.
+        calib: Folder with a calibration of KITTI's for each image, of its name; or None.
     """
 
     path: Path
     every: int = 1
     category: Category = field(default_factory=lambda: load_category("car14"))
     camera: str | None = None
+    calib: Path | None = None
 
     @property
     def is_picture(self) -> bool:
@@ -237,7 +239,7 @@ def _task(row: Row) -> Row:
 
 
 def _image_row(source: InputFile) -> Iterator[Row]:
-    yield {"row_id": str(source.path), "image": str(source.path), "camera": source.camera or _kitti_camera(source.path)}
+    yield {"row_id": str(source.path), "image": str(source.path), "camera": source.camera or _kitti_camera(source)}
 
 
 def _frame_rows(source: InputFile) -> Iterator[Row]:
@@ -245,9 +247,15 @@ def _frame_rows(source: InputFile) -> Iterator[Row]:
         yield {"row_id": f"{source.path}#{frame}", "image": str(source.path), "frame": frame}
 
 
-def _kitti_camera(image: Path) -> str | None:
-    """The camera that KITTI's layouts have for an image, as JSON."""
-    found = calibration_beside(image)
+def _kitti_camera(source: InputFile) -> str | None:
+    """The camera that KITTI's layouts have for an image, or its file in the folder of calibrations, as JSON.
+
+    Raises:
+        InvalidInputError: There is a folder of calibrations, but none of the image.
+    """
+    if source.calib is not None:
+        return _as_json(read_calibration(source.calib / f"{source.path.stem}.txt").camera)
+    found = calibration_beside(source.path)
     return None if found is None else json.dumps({"K": found.camera.matrix.tolist()})
 
 

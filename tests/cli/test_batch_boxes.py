@@ -133,3 +133,17 @@ def test_where_nothing_is_in_the_file_the_command_says_what_is(images, tmp_path)
     done = run("batch", images, "--boxes", path, "--out", tmp_path / "out")
     assert done.exit_code == 1
     assert "1 of other images (street9.png)" in done.stderr
+
+
+def test_a_folder_of_calibrations_has_one_for_each_image(images, tmp_path):
+    (tmp_path / "calib").mkdir()
+    for name in ("a", "b"):
+        shutil.copy(images.parent / "sample/calib.txt", tmp_path / f"calib/{name}.txt")
+    done = run(
+        "batch", images, "--calib", tmp_path / "calib", "--boxes", yolo(tmp_path / "boxes"), "--out", tmp_path / "out"
+    )
+    assert done.exit_code == 0, done.output
+    rows = pq.read_table(tmp_path / "out").to_pylist()
+    assert {row["camera_matrix"][0] for row in rows if row["vehicle"] is not None} == {721.5377}
+    (refused,) = [row for row in rows if row["status"] == "refused"]
+    assert "c.txt" in refused["error"]
