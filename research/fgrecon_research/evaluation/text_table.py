@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from fgrecon.core.text import markdown_row
 
@@ -27,8 +27,8 @@ class TextTable:
         title = f"**{self.title}**\n\n" if self.title else ""
         return title + "".join(map(markdown_row, (self.headings, rule, *self.rows)))
 
-    def shown(self, *, wrap: bool = False) -> Table:
-        """As the terminal shows it; with `wrap` numbers may be wrapped where it is narrow."""
+    def shown(self) -> Table:
+        """As the terminal shows it: where it is narrow numbers are wrapped, never cut."""
         from rich.box import SIMPLE_HEAD
         from rich.markup import escape
         from rich.table import Table
@@ -36,7 +36,8 @@ class TextTable:
         table = Table(box=SIMPLE_HEAD, pad_edge=False, title=self.title or None)
         for number, heading in enumerate(self.headings):
             is_text = number < self.texts
-            table.add_column(heading, justify="left" if is_text else "right", no_wrap=is_text or not wrap)
+            justify: Literal["left", "right"] = "left" if is_text else "right"
+            table.add_column(heading, justify=justify, no_wrap=is_text, overflow="fold")
         for row in self.rows:
             table.add_row(*map(escape, row))
         return table

@@ -85,7 +85,7 @@ def boxes_command(
     screen.print(f"{what}." if len(drives) == 1 else f"{counted(len(spoken_of), 'drive')}, {what}.")
     if silent := [drive.name for drive in drives if not frames[drive.name]]:
         screen.print(f"Left out, since not every source speaks of them: {', '.join(silent)}.")
-    screen.print(*(one.shown(wrap=True) for one in made))
+    screen.print(*(one.shown() for one in made))
     for name, vehicles in scored.items():
         for one in vehicles:
             place = one.frame if len(drives) == 1 else f"{one.drive}/{one.frame}"

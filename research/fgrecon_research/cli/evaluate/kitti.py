@@ -138,7 +138,7 @@ def kitti_command(
     found = score_boxes(frames, cars)
     made = tables({f"{kind} boxes": found.groups}, {f"{kind} boxes": found.curves})
     screen.print(f"{images}, {counted(len(cars), 'car')}, {kind} boxes; {origin}.", _table(cars).shown())
-    screen.print(*(one.shown(wrap=True) for one in made))
+    screen.print(*(one.shown() for one in made))
     for car in cars:
         error = car.failure or f"{car.degrees:.1f} degrees, {car.metres:.2f} m"
         screen.detail(f"{car.frame}/{car.index}: {error}")

@@ -193,7 +193,7 @@ def video_command(
     screen.print(scored.in_words())
     made = {f"By {by}:": one for by, one in tables(summaries).items()}
     for heading, one in made.items():
-        screen.print(heading, one.filled().shown(wrap=True))
+        screen.print(heading, one.filled().shown())
     screen.print(_in_words(facing_reliability(boxes)))
     for box in boxes:
         for method, found in box.outcomes.items():
