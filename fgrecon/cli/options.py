@@ -371,15 +371,18 @@ class VehicleBoxes:
         given = [parse_numbers("box", text, "x1,y1,x2,y2: four numbers in pixels", (4,)) for text in self.box or ()]
         return GivenBoxes(given, self.boxes, self.detect, self.min_score)
 
-    def refuse(self) -> None:
-        """Refuse what means nothing for a keypoint file.
+    def refuse(self, file: Path) -> None:
+        """Refuse what means nothing for a file that is no image.
 
         Raises:
             InvalidInputError: Something is given.
         """
+        from fgrecon.io.images import IMAGES
+
         for field in ("box", "boxes", "weights", "detect", "min_score"):
             if value := getattr(self, field):
-                raise InvalidInputError(field, str(value), "Give an image instead of keypoints, or leave this out.")
+                fix = f"Give an image ({', '.join(IMAGES)}) instead, or leave this out."
+                raise InvalidInputError(field, f"{value} for {file.name}", fix)
 
 
 _ERRORS_PANEL = "Errors of the boxes (1 sigma)"

@@ -71,6 +71,14 @@ def test_a_keypoint_file_is_not_searched(images):
     assert done.exception.field == "detect"
 
 
+def test_a_file_that_is_no_image_is_named_with_the_endings_of_images(images):
+    (phone := images / "phone.heic").write_bytes(b"ftypheic")
+    done = run("reconstruct", phone, "--detect")
+    assert isinstance(done.exception, InvalidInputError)
+    assert "phone.heic" in str(done.exception)
+    assert ".jpeg" in str(done.exception)
+
+
 def test_detections_are_what_boxes_reads(images, scene):
     out = images / "found.txt"
     assert run("vehicles", "detect", images / "car.png", images / "nothing.png", "--out", out).exit_code == 0
