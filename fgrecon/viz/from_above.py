@@ -191,7 +191,7 @@ def _draw_scale(axes: Any, far: float) -> None:
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=FONT, length=1.5, width=0.5, pad=1.2)
     axes.set_xlabel("right of the camera [m]", fontsize=FONT, labelpad=1)
-    axes.set_ylabel("ahead [m]", fontsize=FONT, labelpad=1)
+    axes.set_ylabel("ahead [m]", fontsize=FONT, labelpad=1 if far < 100.0 else -1)  # nearer to wide numbers
 
 
 def _path(

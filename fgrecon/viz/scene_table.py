@@ -71,7 +71,7 @@ def scene_page(scene: DrawnScene) -> ScenePage:
         columns = (("position error [m]", 0.6), ("yaw [°]", 1.0))
         cells = [_errors(v, scene.starts.get(v.identity)) for v in ordered]
     elif not few and detected:
-        columns = (("dist. [m]", 0.5), ("yaw [°]", 0.7), ("detected", 1.0))
+        columns = (("dist. [m]", 0.46), ("yaw [°]", 0.685), ("detected", 1.0))
         cells = [
             (distance, yaw.partition(" ")[0], v.detection) for v, (distance, yaw) in zip(ordered, cells, strict=True)
         ]

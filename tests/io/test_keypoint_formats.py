@@ -60,6 +60,15 @@ def test_coco_annotations(tmp_path):
     same(file.instances[0], expected)
 
 
+def test_coco_annotations_without_a_keypoint_are_left_out_and_counted():
+    content = coco(labelled())
+    content["annotations"].append({"id": 16, "image_id": 1, "category_id": 3, "bbox": BBOX, "iscrowd": 0})
+    file = parse_any_keypoints(content, CATEGORY)
+    assert len(file.instances) == 2
+    (left_out,) = file.left_out
+    assert str(left_out).startswith("annotations[1].keypoints: got 2 without a labelled one.")
+
+
 def test_coco_as_its_own_library_writes_it(tmp_path):
     library = pytest.importorskip("pycocotools.coco")
     path = write(tmp_path / "c.json", coco(labelled()))

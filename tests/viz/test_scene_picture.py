@@ -169,6 +169,19 @@ def test_axis_labels_are_within_the_picture_and_all_vehicles_in_the_table(exampl
     assert not any("more" in text for text in texts(figure.axes[2]))
 
 
+def test_the_label_of_an_axis_with_long_numbers_is_within_the_picture(seen, vehicles):
+    result = vehicles[0].result
+    moved = result.camera_T_object.copy()
+    moved[:3, 3] *= 130.0 / moved[2, 3]
+    figure = draw(seen, [*vehicles[1:], replace(vehicles[0], result=changed(result, camera_T_object=moved))])
+    figure.canvas.draw()
+    above = figure.axes[1]
+    assert "100" in [text.get_text() for text in above.get_yticklabels()]
+    label = above.yaxis.label.get_window_extent()
+    assert label.x0 >= figure.bbox.x0 + 1
+    assert not any(label.overlaps(text.get_window_extent()) for text in above.get_yticklabels() if text.get_text())
+
+
 def test_regions_of_many_vehicles_are_thin_and_in_their_colours(example, seen):
     first = shown_of(example, seen)[0]
     widths = {}
@@ -228,10 +241,10 @@ def test_with_the_truth_it_tells_the_gain(example, seen):
 
 
 @pytest.mark.parametrize("count", [3, 9])
-@pytest.mark.parametrize("before", [False, True])
-def test_no_text_of_the_table_covers_another(example, seen, count, before):
+@pytest.mark.parametrize(("before", "detection"), [(False, ""), (True, ""), (False, "truck 0.87")])
+def test_no_text_of_the_table_covers_another(example, seen, count, before, detection):
     vehicles = shown_of(example, seen, truth=before)
-    vehicles = [replace(vehicles[number % 3], identity=number) for number in range(count)]
+    vehicles = [replace(vehicles[number % 3], identity=number, detection=detection) for number in range(count)]
     figure = draw(seen, vehicles, before=before)
     figure.canvas.draw()
     places = [text.get_window_extent() for text in figure.axes[-1].texts if text.get_text()]

@@ -42,7 +42,8 @@ def is_result(record: Any) -> bool:
 def annotation_records(data: Mapping[str, Any], where: str) -> Iterator[tuple[Record | InvalidInputError, str]]:
     """Instances of COCO's annotations in the layout of a keypoint file, and what errors about each begin with.
 
-    Crowds and instances without a labelled keypoint are left out; one that is malformed is the error that says so.
+    Crowds are left out, and boxes of a category without keypoints; one that is malformed is the error that says so.
+    Those without a labelled keypoint are one error in the end, since files for detection have many.
 
     Args:
         data: The file's content.
@@ -57,6 +58,7 @@ def annotation_records(data: Mapping[str, Any], where: str) -> Iterator[tuple[Re
     for number, item in enumerate(top.get("images", list) if "images" in top else []):
         image = Fields(item, f"{where}images[{number}].")
         images[_key(image, "id")] = image
+    unlabelled = []
     for number, item in enumerate(top.get("annotations", list)):
         place = f"{where}annotations[{number}]."
         try:
@@ -64,13 +66,18 @@ def annotation_records(data: Mapping[str, Any], where: str) -> Iterator[tuple[Re
         except InvalidInputError as error:
             yield error, place
             continue
-        if record is not None:
+        if record is not None and not record["keypoints"]:
+            unlabelled.append(number)
+        elif record is not None:
             yield {"id": number} | record, place
+    if unlabelled:
+        place, found = f"{where}annotations[{unlabelled[0]}].", f"{len(unlabelled)} without a labelled one"
+        yield InvalidInputError(f"{place}keypoints", found, "Mark keypoints of the vehicles that you want."), place
 
 
 def _annotation(fields: Fields, kinds: Mapping[_Id, _Kind], images: Mapping[_Id, Fields]) -> Record | None:
-    """An annotation as an instance; None where it has no keypoint, or of no vehicle."""
-    if "keypoints" not in fields or fields.data.get("iscrowd") == 1:
+    """An annotation as an instance, maybe without a keypoint; None of a crowd, or of a category without keypoints."""
+    if fields.data.get("iscrowd") == 1:
         return None
     if (number := _key(fields, "category_id")) not in kinds:
         known = ", ".join(map(str, kinds)) or "none"
@@ -78,9 +85,9 @@ def _annotation(fields: Fields, kinds: Mapping[_Id, _Kind], images: Mapping[_Id,
     kind = kinds[number]
     if not kind.keypoints:
         return None
-    record = _record(fields, kind.keypoints, labelled=True)
+    record = _record(fields, kind.keypoints, labelled=True) if "keypoints" in fields else {"keypoints": {}}
     if not record["keypoints"]:
-        return None
+        return record
     picture = images.get(_key(fields, "image_id")) if "image_id" in fields else None
     record |= _extra(fields, kind.keypoints) | ({} if picture is None else _picture(picture))
     if kind.name:
