@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from fgrecon.cli import main
 from fgrecon_research.cli import COMMANDS
 from tests.conftest import REPOSITORY
-from tests.docs.pages import commands, fenced
+from tests.docs.pages import PAGES, commands, fenced
 
 GUIDES = [
     REPOSITORY / "README.md",
@@ -99,3 +99,15 @@ def test_what_a_command_needs_is_named_before_it(guide):
     for found in re.finditer(r"^fgrecon .+$", text, re.MULTILINE):
         if (package := needed(found.group().split("  #")[0])) is not None:
             assert re.search(INSTALL[package], text[: found.end()]), found.group()
+
+
+def test_extras_are_installed_from_the_checkout_and_quoted():
+    """There is no package of the name in the registry, and shells such as zsh take brackets for a pattern."""
+    lines = [
+        (page.name, line)
+        for page in PAGES
+        for line in page.read_text(encoding="utf-8").splitlines()
+        if "pip install" in line and re.search(r"(fgrecon|\.)\[", line)
+    ]
+    assert len(lines) > 3
+    assert [one for one in lines if not re.search(r"""['"]\.\[[\w,]+\]['"]""", one[1])] == []
