@@ -42,7 +42,11 @@ class GivenBoxes:
         Raises:
             InvalidInputError: More than one is given.
         """
-        ways = {"given (--box)": bool(self.given), "file (--boxes)": self.file is not None, "detect": self.detect}
+        ways = {
+            "given (--box)": bool(self.given),
+            "file (--boxes)": self.file is not None,
+            "detector (--detect)": self.detect,
+        }
         if sum(ways.values()) > 1:
             flags = " and ".join(way for way, used in ways.items() if used)
             fix = "Give one of them: boxes (--box), a file (--boxes), or nothing, which lets the detector look."

@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import fields
 
 import gtsam
 import numpy as np
@@ -104,7 +105,7 @@ def assert_same(a, b):
         for key in a:
             assert_same(a[key], b[key])
     elif isinstance(a, (*GROUPS, Alternative, GraphFactor, Iteration, Reconstruction)):
-        assert_same(dict(vars(a)), dict(vars(b)))
+        assert_same(*({each.name: getattr(one, each.name) for each in fields(a)} for one in (a, b)))
     else:
         assert a == b
 

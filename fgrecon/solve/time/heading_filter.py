@@ -171,7 +171,7 @@ class TrackHeading:
         mean: (B,) logarithms of what a frame of that says, on average.
         frames: How many it has.
         first: Whether there was none before it in time; it counts as one image at least.
-        recent: (B,) logarithms of what the last images say, each counting half as much as the one after it.
+        recent: (B,) logarithms of what the last images say on average, each counting less than the one after it.
     """
 
     earlier: Belief
@@ -201,14 +201,14 @@ class TrackHeading:
             height: Of it in the image, pixels.
             way: (B,) logarithms of what its way up to there says; None for nothing new.
         """
-        mean = _carried(self.mean, seconds, turn)
+        mean, recent = (_carried(one, seconds, turn) for one in (self.mean, self.recent))
         moved = replace(
             self,
             earlier=self.earlier.predicted(seconds, turn),
             way=self.way.predicted(seconds, turn).updated(np.zeros(_BINS) if way is None else way),
             mean=mean + (image - mean) / (self.frames + 1),
             frames=self.frames + 1,
-            recent=(_carried(self.recent, seconds, turn) + image) / 2.0,
+            recent=recent + SETTINGS.recent_share * (image - recent),
         )
         view = Aspect.of(moved.whole.heading, place, height)
         if not view.differs(self.view):

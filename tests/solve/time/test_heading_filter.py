@@ -86,12 +86,12 @@ def test_a_few_frames_that_are_turned_do_not_turn_a_vehicle():
 
 def test_a_vehicle_faces_as_its_last_images_where_these_are_surer_than_all_before():
     """However long the others were believed: they may all be wrong alike."""
-    images = [towards(np.pi, 0.8)] * 100 + [towards(0.0, 3.0)] * 2
-    *_, before, one, two = followed(images)
-    assert before.belief.facing(0.0) < 0.5
-    assert one.belief.facing(0.0) > before.belief.facing(0.0)
-    assert two.belief.facing(0.0) > 0.7
-    assert two.whole.facing(0.0) < 0.5  # in the end all count
+    followed_before = followed([towards(np.pi, 0.8)] * 100)[-1].belief
+    *_, one, two = followed([towards(np.pi, 0.8)] * 100 + [towards(0.0, 3.0)] * 2)
+    last = followed([towards(np.pi, 0.8)] * 100 + [towards(0.0, 3.0)] * 10)[-1]
+    assert followed_before.facing(0.0) < one.belief.facing(0.0) < two.belief.facing(0.0) < 0.5  # no few turn it
+    assert last.belief.facing(0.0) > 0.7
+    assert last.whole.facing(0.0) < 0.5  # in the end all count
 
 
 def test_a_way_counts_whole_beside_the_images():

@@ -128,14 +128,14 @@ def test_the_shipped_settings_are_how_the_shipped_networks_were_made():
         assert shares == [f"{each.start_share:g}" for each in reversed(before)]
     street = found.phases[-1]
     assert f"street cars in {street.street_share:g} of the samples" in load_tensors(shipped()).provenance["data"]
-    assert len(street.drives) == 7
+    assert len(street.drives) == 8
 
 
 @pytest.mark.data
 def test_the_shipped_settings_name_drives_that_are_there(data):
     drives = [data / drive for drive in read_settings(SHIPPED).phases[-1].drives]
     assert all((drive / "label_02.txt").is_file() for drive in drives)
-    assert {drive.name for drive in drives} == {path.name for path in (data / "kitti_video").iterdir() if path.is_dir()}
+    assert {path.name for path in (data / "kitti_video").iterdir() if path.is_dir()} < {drive.name for drive in drives}
 
 
 def test_a_plan_says_what_samples_are_like():
