@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, NamesOption, ScaleOption, SceneOptions, WeightsOption
+from fgrecon.cli.options import (
+    BOX_MODEL_HELP,
+    CameraOptions,
+    MinScoreOption,
+    NamesOption,
+    ScaleOption,
+    SceneOptions,
+    WeightsOption,
+)
 from fgrecon.cli.sensor_options import SensorOptions
 from fgrecon.cli.terminal import Screen, Terminal, compact_table
 from fgrecon.core.choices import BoxModel
@@ -38,15 +46,7 @@ class BatchOptions:
             help="Boxes of the images' cars: COCO, KITTI, CSV, a file for each image (YOLO); else the detector looks.",
         ),
     ] = None
-    min_score: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            max=1.0,
-            help="Boxes of a lower score are left out.",
-            show_default="0.5 in files, the detector's own otherwise",
-        ),
-    ] = None
+    min_score: MinScoreOption = None
     table: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write all rows as one table (csv, parquet).")
     ] = None

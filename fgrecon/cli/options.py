@@ -110,6 +110,15 @@ WeightsOption = Annotated[
         show_default="the shipped one",
     ),
 ]
+MinScoreOption = Annotated[
+    float | None,
+    typer.Option(
+        min=0.0,
+        max=1.0,
+        help="Boxes of a lower score are left out.",
+        show_default="0.5 in files, the detector's own otherwise",
+    ),
+]
 JsonOption = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - for the output.")
 ]
@@ -349,15 +358,7 @@ class VehicleBoxes:
     detect: Annotated[bool, typer.Option("--detect", help="Find the cars in the image with the shipped detector.")] = (
         False
     )
-    min_score: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            max=1.0,
-            help="Boxes of a lower score are left out.",
-            show_default="0.5 in files, the detector's own otherwise",
-        ),
-    ] = None
+    min_score: MinScoreOption = None
     weights: WeightsOption = None
 
     def source(self) -> GivenBoxes:

@@ -90,8 +90,7 @@ class Range:
             InvalidInputError: The range is not above zero, or the standard deviation is none.
         """
         _keep(self, "range", "metres", "Give metres, above zero.", (1e-3, _FARTHEST))
-        _keep(self, "range", "sigma", "Give a standard deviation in metres.", (_LEAST_SIGMA, _LARGEST_SIGMA))
-        object.__setattr__(self, "origin", own(as_finite("range.origin", self.origin, (3,))))
+        _keep_sensor(self, "range", "metres")
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,9 +119,7 @@ class RangeRate:
         """
         fix = "Give metres per second, positive where the vehicle goes away."
         _keep(self, "range_rate", "metres_per_second", fix, (-_FASTEST, _FASTEST))
-        fix = "Give a standard deviation in metres per second."
-        _keep(self, "range_rate", "sigma", fix, (_LEAST_SIGMA, _LARGEST_SIGMA))
-        object.__setattr__(self, "origin", own(as_finite("range_rate.origin", self.origin, (3,))))
+        _keep_sensor(self, "range_rate", "metres per second")
 
 
 def _keep(evidence: Range | RangeRate, kind: str, name: str, fix: str, limits: tuple[float, float]) -> None:
@@ -130,6 +127,12 @@ def _keep(evidence: Range | RangeRate, kind: str, name: str, fix: str, limits: t
     if not limits[0] <= value <= limits[1]:
         raise InvalidInputError(f"{kind}.{name}", value, fix)
     object.__setattr__(evidence, name, value)
+
+
+def _keep_sensor(evidence: Range | RangeRate, kind: str, unit: str) -> None:
+    """Check how sure the sensor is, in a unit, and where it is."""
+    _keep(evidence, kind, "sigma", f"Give a standard deviation in {unit}.", (_LEAST_SIGMA, _LARGEST_SIGMA))
+    object.__setattr__(evidence, "origin", own(as_finite(f"{kind}.origin", evidence.origin, (3,))))
 
 
 Evidence = Points | DepthMap | StereoPair | VehicleClass | Range | RangeRate | Mask
