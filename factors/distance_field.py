@@ -12,14 +12,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class DistanceField:
-    """Signed distance from an outline, in pixels, over a part of the image.
+    """Signed distance from an outline, in pixels, over a part of the image."""
 
-    Attributes:
-        corner: (2,) pixel (u, v) of the first number.
-        distance: (H, W) at pixels, at least 2 x 2; linear between them, and beyond as far as the pixel is from there.
-    """
-
-    corner: Array
+    corner: Array  # (2,) pixel (u, v) of the first number
+    # (H, W) at pixels, at least 2 x 2; linear between them, and beyond as far as the pixel is from there
     distance: Array
 
     def at(self, pixels: Array) -> tuple[Array, Array]:

@@ -34,20 +34,14 @@ Callback = Callable[[gtsam.Values, bool], Evaluation]
 
 @dataclass(frozen=True, slots=True)
 class CompiledRows:
-    """The rows of a callback, compiled.
+    """The rows of a callback, compiled."""
 
-    Attributes:
-        source: What has them, a `factors._rows.Source`.
-        variables: Of each variable that it takes the key, or its value where it is a constant, or None where there is
-            none.
-        whitener: (rows, rows) upper triangular, by which a noise model whitens them; None where they are whitened.
-        robust: GTSAM's estimator that weighs them; None for none.
-    """
-
-    source: Any
+    source: Any  # what has them, a `factors._rows.Source`
+    # of each variable that it takes the key, or its value where it is a constant, or None where there is none
     variables: tuple[int | NDArray[np.float64] | None, ...]
+    # (rows, rows) upper triangular, by which a noise model whitens them; None where they are whitened
     whitener: NDArray[np.float64] | None = None
-    robust: Any = None
+    robust: Any = None  # GTSAM's estimator that weighs them; None for none
 
     @property
     def keys(self) -> tuple[int, ...]:

@@ -99,21 +99,13 @@ def laplacian_factor(
 
 @dataclass(frozen=True, slots=True)
 class _Edges:
-    """The neighbourhoods of M keypoints as E directed edges, sorted by keypoint.
+    """The neighbourhoods of M keypoints as E directed edges, sorted by keypoint."""
 
-    Attributes:
-        centres: (M,) the keypoints.
-        rows: (E,) which of the M each edge belongs to.
-        ends: (E,) the neighbour at its end.
-        starts: (M,) first edge of each keypoint.
-        normalised: Whether weights are scaled to sum to one.
-    """
-
-    centres: NDArray[np.intp]
-    rows: NDArray[np.intp]
-    ends: NDArray[np.intp]
-    starts: NDArray[np.intp]
-    normalised: bool
+    centres: NDArray[np.intp]  # (M,) the keypoints
+    rows: NDArray[np.intp]  # (E,) which of the M each edge belongs to
+    ends: NDArray[np.intp]  # (E,) the neighbour at its end
+    starts: NDArray[np.intp]  # (M,) first edge of each keypoint
+    normalised: bool  # whether weights are scaled to sum to one
 
     def coordinates(self, points: Array) -> tuple[Array, Array, Array, Array]:
         """Differential coordinates delta (M, 3), weights a (E,), edges X_i - X_j (E, 3) and centroids (M, 3)."""

@@ -30,50 +30,29 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SilhouetteOdds:
-    """How probably a vertex of the outline is on the mask's, and where else it may be.
+    """How probably a vertex of the outline is on the mask's, and where else it may be."""
 
-    Attributes:
-        right: Probability that it is.
-        span: Pixels over which the others lie.
-        hidden: Pixels about what hides the vehicle within which outlines say nothing.
-        border: The same of the image's border.
-        independent: As how many rows all count at most: neighbours err alike.
-    """
-
-    right: float
-    span: float
-    hidden: float
-    border: float
-    independent: float
+    right: float  # probability that it is
+    span: float  # pixels over which the others lie
+    hidden: float  # pixels about what hides the vehicle within which outlines say nothing
+    border: float  # the same of the image's border
+    independent: float  # as how many rows all count at most: neighbours err alike
 
 
 @dataclass(frozen=True, eq=False)
 class SilhouetteRows:
-    """A mask, and the surface whose outline it has.
+    """A mask, and the surface whose outline it has."""
 
-    Attributes:
-        field: Distance from the mask's outline.
-        hides: The same of what hides the vehicle, or None.
-        matrix: (3, 3) camera matrix.
-        image_size: Width and height, pixels, or None.
-        mean: (P, 3) vertices that can be on an outline, of the mean shape, metres.
-        basis: (N, P, 3) their change per unit of each coefficient.
-        directions: (2, M) unit vectors in the image.
-        farthest: (M, 2) the mask's farthest points there, pixels.
-        sigma: Standard deviation of the mask's outline, pixels.
-        odds: How probably vertices are on it.
-    """
-
-    field: DistanceField
-    hides: DistanceField | None
-    matrix: Array
-    image_size: tuple[int, int] | None
-    mean: Array
-    basis: Array
-    directions: Array
-    farthest: Array
-    sigma: float
-    odds: SilhouetteOdds
+    field: DistanceField  # distance from the mask's outline
+    hides: DistanceField | None  # the same of what hides the vehicle, or None
+    matrix: Array  # (3, 3) camera matrix
+    image_size: tuple[int, int] | None  # width and height, pixels, or None
+    mean: Array  # (P, 3) vertices that can be on an outline, of the mean shape, metres
+    basis: Array  # (N, P, 3) their change per unit of each coefficient
+    directions: Array  # (2, M) unit vectors in the image
+    farthest: Array  # (M, 2) the mask's farthest points there, pixels
+    sigma: float  # standard deviation of the mask's outline, pixels
+    odds: SilhouetteOdds  # how probably vertices are on it
 
     def match(self, rotation: Array, translation: Array, coefficients: Array) -> tuple[NDArray[np.intp], Array]:
         """The farthest vertices (M,) in the directions, and which rows (2 M,) say something, as 1 or 0."""

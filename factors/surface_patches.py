@@ -30,23 +30,14 @@ _AT_ONCE = 2048  # grid points whose distances to all patches are in memory
 
 @dataclass(frozen=True, eq=False)
 class SurfacePatches:
-    """Patches of a surface in the object frame.
+    """Patches of a surface in the object frame."""
 
-    Attributes:
-        mean: (P, 3) centres of the mean shape, metres.
-        basis: (N, P, 3) their change per unit of each coefficient.
-        normal: (P, 3) unit normals, outwards.
-        neighbours: (P, M) each patch and those nearest to it.
-        first: (3,) the grid's first point, metres.
-        grid: (X, Y, Z) the patch that is next to each of its points.
-    """
-
-    mean: Array
-    basis: Array
-    normal: Array
-    neighbours: NDArray[np.int32]
-    first: Array
-    grid: NDArray[np.int32]
+    mean: Array  # (P, 3) centres of the mean shape, metres
+    basis: Array  # (N, P, 3) their change per unit of each coefficient
+    normal: Array  # (P, 3) unit normals, outwards
+    neighbours: NDArray[np.int32]  # (P, M) each patch and those nearest to it
+    first: Array  # (3,) the grid's first point, metres
+    grid: NDArray[np.int32]  # (X, Y, Z) the patch that is next to each of its points
 
     @classmethod
     def of(cls, vertices: Array, basis: Array, faces: NDArray[np.integer]) -> SurfacePatches:

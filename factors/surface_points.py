@@ -67,27 +67,16 @@ LEAST_RATIO = 0.05
 
 @dataclass(frozen=True)
 class PointOdds:
-    """How probably a point is the vehicle's, and what else it may be.
+    """How probably a point is the vehicle's, and what else it may be."""
 
-    Attributes:
-        vehicle: Probability that a point is the vehicle's.
-        span: Metres over which a point that is anything else may lie.
-        before: How dense such points are on rays that would hit the vehicle, before it; on other rays 1.
-        through: The same inside and behind it.
-        deepest: Metres inside the vehicle from which on a point is inside.
-        core: Share of length, width and height of a cuboid that is inside the vehicle.
-        reach: Metres along the surface from a patch's centre that it reaches,
-        reach_sigma: and over which it ends.
-    """
-
-    vehicle: float
-    span: float
-    before: float
-    through: float
-    deepest: float
-    core: float
-    reach: float
-    reach_sigma: float
+    vehicle: float  # probability that a point is the vehicle's
+    span: float  # metres over which a point that is anything else may lie
+    before: float  # how dense such points are on rays that would hit the vehicle, before it; on other rays 1
+    through: float  # the same inside and behind it
+    deepest: float  # metres inside the vehicle from which on a point is inside
+    core: float  # share of length, width and height of a cuboid that is inside the vehicle
+    reach: float  # metres along the surface from a patch's centre that it reaches,
+    reach_sigma: float  # and over which it ends
 
 
 NOTHING_SHARED = np.zeros(2)
@@ -96,48 +85,29 @@ NOTHING_SHARED = np.zeros(2)
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """Which patch each point is next to, and how probable it is on it.
+    """Which patch each point is next to, and how probable it is on it."""
 
-    Attributes:
-        patch: (M,) indices of patches.
-        right: (M,) densities of points on the surface, at it.
-        wrong: (M,) densities of anything else.
-        sigma: (M,) standard deviations of their distances from the patches, metres.
-    """
-
-    patch: NDArray[np.intp]
-    right: Array
-    wrong: Array
-    sigma: Array
+    patch: NDArray[np.intp]  # (M,) indices of patches
+    right: Array  # (M,) densities of points on the surface, at it
+    wrong: Array  # (M,) densities of anything else
+    sigma: Array  # (M,) standard deviations of their distances from the patches, metres
 
 
 @dataclass(frozen=True, eq=False)
 class PointRows:
-    """Points, and the surface that they may be on.
+    """Points, and the surface that they may be on."""
 
-    Attributes:
-        points: (M, 3) camera frame, metres.
-        sigma: (M,) standard deviation of their distance from the surface, metres.
-        origin: (3,) where the sensor is, camera frame.
-        patches: The surface.
-        size: (3,) length, width and height of the mean shape, metres.
-        size_basis: (3, N) their change per unit of each coefficient.
-        odds: How probable a point is the vehicle's.
-        share: Share of the energy that counts: neighbouring points err alike, since the surface does.
-        along: (M,) standard deviation along the rays from the origin, metres; 0 of points that have none of their own.
-        shared: What the variables are that all of them share.
-    """
-
-    points: Array
-    sigma: Array
-    origin: Array
+    points: Array  # (M, 3) camera frame, metres
+    sigma: Array  # (M,) standard deviation of their distance from the surface, metres
+    origin: Array  # (3,) where the sensor is, camera frame
     patches: SurfacePatches
-    size: Array
-    size_basis: Array
-    odds: PointOdds
-    share: float
+    size: Array  # (3,) length, width and height of the mean shape, metres
+    size_basis: Array  # (3, N) their change per unit of each coefficient
+    odds: PointOdds  # how probable a point is the vehicle's
+    share: float  # share of the energy that counts: neighbouring points err alike, since the surface does
+    # (M,) standard deviation along the rays from the origin, metres; 0 of points that have none of their own
     along: Array
-    shared: Shared = Shared.NONE
+    shared: Shared = Shared.NONE  # what the variables are that all of them share
 
     def match(self, rotation: Array, translation: Array, coefficients: Array, shared: Array = NOTHING_SHARED) -> Match:
         """The patches next to the points, or that their rays meet, at a pose, a shape and what they share (2,)."""

@@ -30,23 +30,14 @@ _NOWHERE = 1e-9  # metres: of a sensor in the vehicle's surface no direction lea
 
 @dataclass(frozen=True, eq=False)
 class RangeRows:
-    """A range of a vehicle.
+    """A range of a vehicle."""
 
-    Attributes:
-        metres: The range.
-        sigma: Its standard deviation, metres.
-        origin: (3,) where the sensor is, camera frame.
-        size: (3,) length, width and height of the mean shape, metres.
-        size_basis: (3, N) their change per unit of each coefficient.
-        to_centre: Whether it is that of the vehicle's middle, else that of its nearest surface.
-    """
-
-    metres: float
-    sigma: float
-    origin: Array
-    size: Array
-    size_basis: Array
-    to_centre: bool = False
+    metres: float  # the range
+    sigma: float  # its standard deviation, metres
+    origin: Array  # (3,) where the sensor is, camera frame
+    size: Array  # (3,) length, width and height of the mean shape, metres
+    size_basis: Array  # (3, N) their change per unit of each coefficient
+    to_centre: bool = False  # whether it is that of the vehicle's middle, else that of its nearest surface
 
     def evaluate(
         self, rotation: Array, translation: Array, coefficients: Array, *, want: bool

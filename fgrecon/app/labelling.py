@@ -27,15 +27,10 @@ _STATED = 0.1  # weight below which a keypoint is named
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the graph says of the keypoints of an image.
+    """What the graph says of the keypoints of an image."""
 
-    Attributes:
-        disagreement: About how many keypoints of its worst car the graph disagrees with; all of one without a pose.
-        words: Which they are.
-    """
-
-    disagreement: float
-    words: str
+    disagreement: float  # about how many keypoints of its worst car the graph disagrees with; all of one without a pose
+    words: str  # which they are
 
 
 def judge(folder: Path, uploaded: Uploaded, requested: Requested) -> Judgement:

@@ -21,28 +21,18 @@ _KEYS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowUp": (0, -1), "ArrowD
 
 @dataclass
 class Editor:
-    """Boxes and keypoints while they are edited, in pixels of the image.
+    """Boxes and keypoints while they are edited, in pixels of the image."""
 
-    Attributes:
-        size: Of the image.
-        names: Of the vehicles, all different.
-        cars: What is known of those that were not drawn, by name.
-        boxes: x1, y1, x2, y2 of each vehicle; empty where it has none.
-        points: Keypoints of each vehicle, None where one was not measured; empty for a box that was drawn.
-        mode: One of `LOOK`, `BOXES` and `KEYPOINTS`.
-        chosen: Vehicle and, in mode `KEYPOINTS`, keypoint that keys move; None for none.
-        changed: Vehicles whose box was changed.
-        righted: Keypoints that were moved or taken away, as vehicle and keypoint.
-    """
-
-    size: tuple[int, int] = (1, 1)
-    names: list[str] = field(default_factory=list)
-    cars: dict[str, ShownCar] = field(default_factory=dict)
-    boxes: list[list[float]] = field(default_factory=list)
+    size: tuple[int, int] = (1, 1)  # of the image
+    names: list[str] = field(default_factory=list)  # of the vehicles, all different
+    cars: dict[str, ShownCar] = field(default_factory=dict)  # what is known of those that were not drawn, by name
+    boxes: list[list[float]] = field(default_factory=list)  # x1, y1, x2, y2 of each vehicle; empty where it has none
+    # keypoints of each vehicle, None where one was not measured; empty for a box that was drawn
     points: list[Pixels] = field(default_factory=list)
-    mode: str = LOOK
-    chosen: tuple[int, int] | None = None
-    changed: set[str] = field(default_factory=set)
+    mode: str = LOOK  # one of `LOOK`, `BOXES` and `KEYPOINTS`
+    chosen: tuple[int, int] | None = None  # vehicle and, in mode `KEYPOINTS`, keypoint that keys move; None for none
+    changed: set[str] = field(default_factory=set)  # vehicles whose box was changed
+    # keypoints that were moved or taken away, as vehicle and keypoint
     righted: set[tuple[str, int]] = field(default_factory=set)
     _corner: int | None = None
     _from: tuple[float, float] | None = None

@@ -19,19 +19,12 @@ _GRACE = 3  # seconds that requests have to end when the server is ended
 
 @dataclass(frozen=True)
 class Server:
-    """Where a server listens, and how much it does at once.
+    """Where a server listens, and how much it does at once."""
 
-    Attributes:
-        host: The address.
-        port: The port; 0 takes a free one.
-        workers: How many processes solve; None for one a core.
-        limits: What it takes.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 8000
-    workers: int | None = None
-    limits: Limits = LIMITS
+    host: str = "127.0.0.1"  # the address
+    port: int = 8000  # the port; 0 takes a free one
+    workers: int | None = None  # how many processes solve; None for one a core
+    limits: Limits = LIMITS  # what it takes
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -21,19 +21,12 @@ from fgrecon.perception.boxes import GivenBoxes
 
 @dataclass(frozen=True)
 class Uploaded:
-    """Names of uploaded files, in the folder that a worker is given.
+    """Names of uploaded files, in the folder that a worker is given."""
 
-    Attributes:
-        main: A photograph or a keypoint file.
-        camera: A calibration file, or None.
-        boxes: A file of boxes, or None.
-        photograph: What the keypoints are drawn on, or None.
-    """
-
-    main: str
-    camera: str | None = None
-    boxes: str | None = None
-    photograph: str | None = None
+    main: str  # a photograph or a keypoint file
+    camera: str | None = None  # a calibration file, or None
+    boxes: str | None = None  # a file of boxes, or None
+    photograph: str | None = None  # what the keypoints are drawn on, or None
 
     @property
     def of_image(self) -> bool:

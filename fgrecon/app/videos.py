@@ -45,19 +45,12 @@ Band = list[float | None]
 
 @dataclass(frozen=True)
 class Progress:
-    """How far the work on a video has come.
+    """How far the work on a video has come."""
 
-    Attributes:
-        step: What is being done.
-        done: How much of it.
-        total: How much there is; None where nobody knows.
-        rate: How much each second.
-    """
-
-    step: str
-    done: int
-    total: int | None
-    rate: float
+    step: str  # what is being done
+    done: int  # how much of it
+    total: int | None  # how much there is; None where nobody knows
+    rate: float  # how much each second
 
     def __str__(self) -> str:
         """In words."""
@@ -67,17 +60,11 @@ class Progress:
 
 @dataclass(frozen=True)
 class CarMoment:
-    """A car in a frame.
+    """A car in a frame."""
 
-    Attributes:
-        time: Seconds after the first frame of the video.
-        bands: For each of `BANDS` the value and its band, None where it is not known.
-        others: Heading in degrees and probability of each other possible pose.
-    """
-
-    time: float
-    bands: dict[str, Band]
-    others: list[tuple[float, float]]
+    time: float  # seconds after the first frame of the video
+    bands: dict[str, Band]  # for each of `BANDS` the value and its band, None where it is not known
+    others: list[tuple[float, float]]  # heading in degrees and probability of each other possible pose
 
 
 @dataclass(frozen=True)
@@ -91,19 +78,12 @@ class FollowedCar:
 
 @dataclass(frozen=True)
 class VideoView:
-    """What the page shows of a video.
+    """What the page shows of a video."""
 
-    Attributes:
-        words: What became of it.
-        warnings: What there is to warn of.
-        cars: Those that were followed, the one of the most frames first.
-        filmed: Whether there is a film.
-    """
-
-    words: str
-    warnings: list[str]
-    cars: list[FollowedCar]
-    filmed: bool
+    words: str  # what became of it
+    warnings: list[str]  # what there is to warn of
+    cars: list[FollowedCar]  # those that were followed, the one of the most frames first
+    filmed: bool  # whether there is a film
 
 
 def stop(out: Path, *, left: bool = False) -> None:

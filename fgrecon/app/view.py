@@ -55,31 +55,19 @@ class ShownStep:
 
 @dataclass(frozen=True)
 class ShownCar:
-    """A vehicle as the page shows it.
+    """A vehicle as the page shows it."""
 
-    Attributes:
-        name: Its id.
-        cells: Of the table, see `fgrecon.viz.outcomes.HEADINGS`; then its message.
-        colour: As CSS has it.
-        instance: It as a keypoint file has it.
-        keypoints: Names of the keypoints.
-        edges: Of the wireframe.
-        steps: From the start to the result; empty where there is none.
-        frame: The edges of its 3D box in the image.
-        others: Probability, nats above the result, yaw in degrees and place in metres of other poses.
-        factors: How many factors of each term its graph has.
-    """
-
-    name: str
-    cells: list[str]
-    colour: str
-    instance: dict[str, Any]
-    keypoints: list[str]
-    edges: list[list[int]]
-    steps: list[ShownStep]
-    frame: list[Pixels] = field(default_factory=list)
+    name: str  # its id
+    cells: list[str]  # of the table, see `fgrecon.viz.outcomes.HEADINGS`; then its message
+    colour: str  # as CSS has it
+    instance: dict[str, Any]  # it as a keypoint file has it
+    keypoints: list[str]  # names of the keypoints
+    edges: list[list[int]]  # of the wireframe
+    steps: list[ShownStep]  # from the start to the result; empty where there is none
+    frame: list[Pixels] = field(default_factory=list)  # the edges of its 3D box in the image
+    # probability, nats above the result, yaw in degrees and place in metres of other poses
     others: list[list[str]] = field(default_factory=list)
-    factors: dict[str, int] = field(default_factory=dict)
+    factors: dict[str, int] = field(default_factory=dict)  # how many factors of each term its graph has
 
     def is_trusted(self, keypoint: int) -> bool:
         """Whether a keypoint was given as rather right than wrong."""
@@ -92,29 +80,17 @@ class ShownCar:
 
 @dataclass(frozen=True)
 class PageView:
-    """What the page shows of an upload.
+    """What the page shows of an upload."""
 
-    Attributes:
-        size: Width and height of the image in pixels.
-        photograph: JPEG; empty where there is none.
-        cars: The vehicles.
-        camera: K and distortion, as a keypoint file has them.
-        horizon: Its two ends in the image.
-        warnings: What there is to warn of.
-        files: What can be downloaded, by name.
-        closest: The closest car model of each, in words.
-        height: Metres of the camera above the middle one of the cars' lowest points; 0 where none has a pose.
-    """
-
-    size: tuple[int, int]
-    photograph: bytes
-    cars: list[ShownCar]
-    camera: dict[str, Any]
-    horizon: Pixels
-    warnings: list[str]
-    files: dict[str, bytes]
-    height: float = 0.0
-    closest: list[str] = field(default_factory=list)
+    size: tuple[int, int]  # width and height of the image in pixels
+    photograph: bytes  # JPEG; empty where there is none
+    cars: list[ShownCar]  # the vehicles
+    camera: dict[str, Any]  # K and distortion, as a keypoint file has them
+    horizon: Pixels  # its two ends in the image
+    warnings: list[str]  # what there is to warn of
+    files: dict[str, bytes]  # what can be downloaded, by name
+    height: float = 0.0  # metres of the camera above the middle one of the cars' lowest points; 0 where none has a pose
+    closest: list[str] = field(default_factory=list)  # the closest car model of each, in words
 
 
 def view_of(folder: Path, uploaded: Uploaded, requested: Requested, models: Path | None = None) -> PageView:

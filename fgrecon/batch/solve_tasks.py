@@ -29,19 +29,12 @@ _Solved = tuple[int, Reconstruction | None, tuple[type[FgreconError], tuple[Any,
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task.
+    """What became of a task."""
 
-    Attributes:
-        task: The vehicle, with the camera that was estimated.
-        result: Its result, or None.
-        error: The error with which it was refused, or None.
-        closest: The car model that the result comes nearest to, where models were given.
-    """
-
-    task: VehicleTask
-    result: Reconstruction | None
-    error: FgreconError | None
-    closest: ClosestModel | None = None
+    task: VehicleTask  # the vehicle, with the camera that was estimated
+    result: Reconstruction | None  # its result, or None
+    error: FgreconError | None  # the error with which it was refused, or None
+    closest: ClosestModel | None = None  # the car model that the result comes nearest to, where models were given
 
     @property
     def name(self) -> str:
@@ -51,15 +44,10 @@ class Outcome:
 
 @dataclass(frozen=True)
 class SolvedImage:
-    """An image whose vehicles were solved together.
+    """An image whose vehicles were solved together."""
 
-    Attributes:
-        image: Its name; None where the input does not say, which makes all its vehicles one image's.
-        result: What was estimated.
-    """
-
-    image: str | None
-    result: SceneReconstruction
+    image: str | None  # its name; None where the input does not say, which makes all its vehicles one image's
+    result: SceneReconstruction  # what was estimated
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""

@@ -43,21 +43,14 @@ _BATCH = 32  # cars that the networks look at together
 
 @dataclass(frozen=True)
 class VehicleTask:
-    """A vehicle to reconstruct.
+    """A vehicle to reconstruct."""
 
-    Attributes:
-        instance: What is known about it.
-        camera: The camera that took its image.
-        label_offset: (3,) where KITTI's label frame is from the camera's (a labelled point is at X + offset), or None.
-        box_model: What its 2D box encloses, where that is not the run's setting.
-        evidence: What other sensors say of the vehicles of its image.
-    """
-
-    instance: Instance
-    camera: Camera
+    instance: Instance  # what is known about it
+    camera: Camera  # the camera that took its image
+    # (3,) where KITTI's label frame is from the camera's (a labelled point is at X + offset), or None
     label_offset: NDArray[np.float64] | None = None
-    box_model: BoxModel | None = None
-    evidence: tuple[Evidence, ...] = ()
+    box_model: BoxModel | None = None  # what its 2D box encloses, where that is not the run's setting
+    evidence: tuple[Evidence, ...] = ()  # what other sensors say of the vehicles of its image
 
     @property
     def observation(self) -> Observation:
@@ -77,16 +70,11 @@ class VehicleTask:
 
 @dataclass(frozen=True)
 class ReadTasks:
-    """The vehicles of a file.
+    """The vehicles of a file."""
 
-    Attributes:
-        tasks: They, at least one.
-        ignored: Names of fields that mean nothing to fgrecon.
-        left_out: Why vehicles, or keypoints that the category does not have, were left out.
-    """
-
-    tasks: list[VehicleTask]
-    ignored: tuple[str, ...] = ()
+    tasks: list[VehicleTask]  # they, at least one
+    ignored: tuple[str, ...] = ()  # names of fields that mean nothing to fgrecon
+    # why vehicles, or keypoints that the category does not have, were left out
     left_out: tuple[InvalidInputError, ...] = ()
 
     @property
@@ -163,19 +151,12 @@ def _track_instances(data: object, path: Path, category: Category) -> tuple[list
 
 @dataclass(frozen=True)
 class KeypointRequest:
-    """How keypoints are detected in the boxes of an image.
+    """How keypoints are detected in the boxes of an image."""
 
-    Attributes:
-        category: Category of the shape prior, which the network must have.
-        weights: Network, or None for the shipped one.
-        box_model: What the boxes enclose, or None for what their source says.
-        networks: The network where it is loaded already, or None.
-    """
-
-    category: Category
-    weights: Path | None = None
-    box_model: BoxModel | None = None
-    networks: KeypointCascade | None = None
+    category: Category  # category of the shape prior, which the network must have
+    weights: Path | None = None  # network, or None for the shipped one
+    box_model: BoxModel | None = None  # what the boxes enclose, or None for what their source says
+    networks: KeypointCascade | None = None  # the network where it is loaded already, or None
 
 
 def image_tasks(

@@ -25,15 +25,10 @@ _MAD = 1.4826  # from the median absolute deviation to a normal standard deviati
 
 @dataclass(frozen=True)
 class SeenBox:
-    """A detected box of a vehicle that can be seen as a whole.
+    """A detected box of a vehicle that can be seen as a whole."""
 
-    Attributes:
-        detected: (4,) x1, y1, x2, y2, pixels.
-        outline: (4,) the same of the outline of the mean shape, scaled to the labelled size, in the labelled pose.
-    """
-
-    detected: Array
-    outline: Array
+    detected: Array  # (4,) x1, y1, x2, y2, pixels
+    outline: Array  # (4,) the same of the outline of the mean shape, scaled to the labelled size, in the labelled pose
 
 
 def check_whole_cars(drives: Sequence[Drive]) -> None:

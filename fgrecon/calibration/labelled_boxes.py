@@ -48,74 +48,49 @@ class View(StrEnum):
 
 @dataclass(frozen=True)
 class BoxOutcome:
-    """What one method found in one box.
+    """What one method found in one box."""
 
-    Attributes:
-        degrees: Yaw error on the full circle; 180 without a pose.
-        metres: Distance of the estimated from the labelled origin in the label's frame; infinite without a pose.
-        size: Estimated minus labelled length, width and height, metres; None where the method finds no size.
-        status: How the reconstruction ended; None without one, and for a rival.
-        failure: Why there is no pose, or None.
-        off: Estimated minus labelled yaw in degrees, and origin (3) in metres; None where it was not wanted.
-        squared: Normalised squared errors of `position`, `yaw`, `size` and `velocity`, as far as there are covariances
-            (`fgrecon.calibration.regions`); none of a vehicle whose heading is flipped.
-        spread: Geometric mean of the one-sigma regions' semi-axes that those are by, degrees or metres.
-        facing: The result's `facing_probability`; None where it has none.
-        velocity: Distance of the estimated from the labelled velocity, metres per second; None where either is unknown.
-    """
-
-    degrees: float
-    metres: float
+    degrees: float  # yaw error on the full circle; 180 without a pose
+    metres: float  # distance of the estimated from the labelled origin in the label's frame; infinite without a pose
+    # estimated minus labelled length, width and height, metres; None where the method finds no size
     size: tuple[float, float, float] | None
-    status: str | None
-    failure: str | None
+    status: str | None  # how the reconstruction ended; None without one, and for a rival
+    failure: str | None  # why there is no pose, or None
+    # estimated minus labelled yaw in degrees, and origin (3) in metres; None where it was not wanted
     off: tuple[float, float, float, float] | None = None
+    # normalised squared errors of `position`, `yaw`, `size` and `velocity`, as far as there are covariances
+    # (`fgrecon.calibration.regions`); none of a vehicle whose heading is flipped
     squared: Mapping[str, float] = field(default_factory=dict)
+    # geometric mean of the one-sigma regions' semi-axes that those are by, degrees or metres
     spread: Mapping[str, float] = field(default_factory=dict)
-    facing: float | None = None
+    facing: float | None = None  # the result's `facing_probability`; None where it has none
+    # distance of the estimated from the labelled velocity, metres per second; None where either is unknown
     velocity: float | None = None
 
 
 @dataclass(frozen=True)
 class VideoBox:
-    """One labelled box of a drive.
+    """One labelled box of a drive."""
 
-    Attributes:
-        drive: Name of the drive.
-        frame: Number of the frame.
-        index: Position among the frame's labels.
-        track: Number of the track in the drive.
-        kind: `Car` or `Van`.
-        truncation: Share outside the image.
-        occlusion: 0 fully visible, 1 partly, 2 largely occluded; -1 where unknown.
-        height: Of the labelled 2D box, pixels.
-        distance: Of the labelled origin from the labels' camera, metres.
-        azimuth: Labelled direction from the vehicle to the camera, radians; 0 ahead, pi / 2 to its left.
-        facing: Probability that the network gives to directions within 90 degrees of the labelled one; None where it
-            gives no directions.
-        outcomes: What each method found, by its name.
-        line: What the whole system found, as a line of KITTI's results; empty where it found nothing.
-        rotation_y: Labelled yaw, radians.
-        size: Labelled length, width and height, metres; None where nobody compares 3D boxes.
-        points: How many points of a LiDAR are inside the labelled 3D box; None where there is no LiDAR.
-    """
-
-    drive: str
-    frame: int
-    index: int
-    track: int
-    kind: str
-    truncation: float
-    occlusion: int
-    height: float
-    distance: float
-    azimuth: float
+    drive: str  # name of the drive
+    frame: int  # number of the frame
+    index: int  # position among the frame's labels
+    track: int  # number of the track in the drive
+    kind: str  # `Car` or `Van`
+    truncation: float  # share outside the image
+    occlusion: int  # 0 fully visible, 1 partly, 2 largely occluded; -1 where unknown
+    height: float  # of the labelled 2D box, pixels
+    distance: float  # of the labelled origin from the labels' camera, metres
+    azimuth: float  # labelled direction from the vehicle to the camera, radians; 0 ahead, pi / 2 to its left
+    # probability that the network gives to directions within 90 degrees of the labelled one; None where it gives
+    # no directions
     facing: float | None
-    outcomes: Mapping[str, BoxOutcome]
-    line: str = ""
-    rotation_y: float = 0.0
+    outcomes: Mapping[str, BoxOutcome]  # what each method found, by its name
+    line: str = ""  # what the whole system found, as a line of KITTI's results; empty where it found nothing
+    rotation_y: float = 0.0  # labelled yaw, radians
+    # labelled length, width and height, metres; None where nobody compares 3D boxes
     size: tuple[float, float, float] | None = None
-    points: int | None = None
+    points: int | None = None  # how many points of a LiDAR are inside the labelled 3D box; None where there is no LiDAR
 
     @property
     def view(self) -> View:

@@ -31,48 +31,29 @@ Advance = Callable[[str, float, float | None, str], None]
 
 @dataclass(frozen=True)
 class GivenScene:
-    """What is given to the whole system of images with known poses.
+    """What is given to the whole system of images with known poses."""
 
-    Attributes:
-        scene: What is given to rivals whose names ask for it: KITTI's ground and fleet where the system has none.
-        ground: Ground plane, or None.
-        size: Size of the fleet, or None.
-        origin: In words where the ground plane comes from.
-    """
-
+    # what is given to rivals whose names ask for it: KITTI's ground and fleet where the system has none
     scene: SceneKnowledge
-    ground: Ground | None
-    size: SizePrior | None
-    origin: str
+    ground: Ground | None  # ground plane, or None
+    size: SizePrior | None  # size of the fleet, or None
+    origin: str  # in words where the ground plane comes from
 
 
 @dataclass(frozen=True)
 class DriveRequest:
-    """Which drives are scored, and how they are reconstructed.
+    """Which drives are scored, and how they are reconstructed."""
 
-    Attributes:
-        folders: Of the drives.
-        given: What is known of the scene.
-        weights: Keypoint network of the drives that no fold names; None for the shipped one.
-        folds: `DRIVE[,DRIVE...]=FILE` each: the network of these drives.
-        box_model: What the 2D boxes enclose; None for what their source says.
-        together: Whether the vehicles of an image share its ground.
-        traffic: Side of the road that traffic keeps to, or None.
-        detect: Whether the boxes are those of the shipped vehicle detector instead of the labelled ones.
-        classes: Who says of which class the vehicles are, or None.
-        jobs: Processes.
-    """
-
-    folders: Sequence[Path]
-    given: GivenScene
-    weights: Path | None = None
-    folds: Sequence[str] = ()
-    box_model: BoxModel | None = None
-    together: bool = True
-    traffic: TrafficSide | None = None
-    detect: bool = False
-    classes: ClassSource | None = None
-    jobs: int = 1
+    folders: Sequence[Path]  # of the drives
+    given: GivenScene  # what is known of the scene
+    weights: Path | None = None  # keypoint network of the drives that no fold names; None for the shipped one
+    folds: Sequence[str] = ()  # `DRIVE[,DRIVE...]=FILE` each: the network of these drives
+    box_model: BoxModel | None = None  # what the 2D boxes enclose; None for what their source says
+    together: bool = True  # whether the vehicles of an image share its ground
+    traffic: TrafficSide | None = None  # side of the road that traffic keeps to, or None
+    detect: bool = False  # whether the boxes are those of the shipped vehicle detector instead of the labelled ones
+    classes: ClassSource | None = None  # who says of which class the vehicles are, or None
+    jobs: int = 1  # processes
 
     @property
     def boxes(self) -> str:
@@ -87,27 +68,16 @@ class DriveRequest:
 
 @dataclass(frozen=True)
 class ScoredDrives:
-    """Drives whose labelled boxes were reconstructed and scored.
+    """Drives whose labelled boxes were reconstructed and scored."""
 
-    Attributes:
-        request: What was requested.
-        drives: The drives.
-        files: Which file has the network of each, by the drive's name; None for the shipped one.
-        setups: What each was reconstructed with, by its name.
-        images: How many images were looked at: those with a box that counts, or all where vehicles were detected.
-        boxes: Those boxes, as far as they were detected.
-        missed: How many were not.
-        frames: What was observed in each image.
-    """
-
-    request: DriveRequest
+    request: DriveRequest  # what was requested
     drives: list[Drive]
-    files: dict[str, Path | None]
-    setups: dict[str, Setup]
-    images: int
-    boxes: list[VideoBox]
-    missed: int = 0
-    frames: Sequence[ScoredFrame] = ()
+    files: dict[str, Path | None]  # which file has the network of each, by the drive's name; None for the shipped one
+    setups: dict[str, Setup]  # what each was reconstructed with, by its name
+    images: int  # how many images were looked at: those with a box that counts, or all where vehicles were detected
+    boxes: list[VideoBox]  # those boxes, as far as they were detected
+    missed: int = 0  # how many were not
+    frames: Sequence[ScoredFrame] = ()  # what was observed in each image
 
     def in_words(self) -> str:
         """How much it is, and on which ground."""

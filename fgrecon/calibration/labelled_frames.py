@@ -39,38 +39,24 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Looked:
-    """One vehicle of an image that was looked at.
+    """One vehicle of an image that was looked at."""
 
-    Attributes:
-        label: Position among the frame's labels of the box that counts and that it is of; None where it is of none.
-        score: Of its detection; 1 for a labelled box.
-        found: What was found.
-    """
-
+    # position among the frame's labels of the box that counts and that it is of; None where it is of none
     label: int | None
-    score: float
+    score: float  # of its detection; 1 for a labelled box
     found: FromImage
 
 
 @dataclass(frozen=True, eq=False)
 class LookedFrame:
-    """The labelled boxes of a frame that count and were looked at, for other methods.
+    """The labelled boxes of a frame that count and were looked at, for other methods."""
 
-    Attributes:
-        drive: Name of the drive.
-        frame: The frame with its labels.
-        image: (H, W, 3) its pixels.
-        camera: The camera, with the size of the image.
-        setup: What the boxes were reconstructed with.
-        looks: What was found in each.
-    """
-
-    drive: str
-    frame: DriveFrame
-    image: NDArray[np.uint8]
-    camera: Camera
-    setup: Setup
-    looks: tuple[Looked, ...]
+    drive: str  # name of the drive
+    frame: DriveFrame  # the frame with its labels
+    image: NDArray[np.uint8]  # (H, W, 3) its pixels
+    camera: Camera  # the camera, with the size of the image
+    setup: Setup  # what the boxes were reconstructed with
+    looks: tuple[Looked, ...]  # what was found in each
 
     def truth(self, look: Looked) -> GroundTruth:
         """The labelled place and yaw of a box."""
@@ -89,21 +75,14 @@ Rivals = Callable[[LookedFrame], Sequence[Mapping[str, BoxOutcome]]]
 
 @dataclass(frozen=True, eq=False)
 class ScoredFrame:
-    """A frame of a drive.
+    """A frame of a drive."""
 
-    Attributes:
-        drive: Name of the drive.
-        number: Of the frame.
-        boxes: The labelled boxes that count and were looked at.
-        sightings: All that was looked at; the first are those of `boxes`, with the labelled tracks for identities.
-        missed: How many labelled boxes that count were not found.
-    """
-
-    drive: str
-    number: int
-    boxes: list[VideoBox]
+    drive: str  # name of the drive
+    number: int  # of the frame
+    boxes: list[VideoBox]  # the labelled boxes that count and were looked at
+    # all that was looked at; the first are those of `boxes`, with the labelled tracks for identities
     sightings: tuple[Sighting, ...]
-    missed: int
+    missed: int  # how many labelled boxes that count were not found
 
 
 def no_rivals() -> Rivals:

@@ -19,15 +19,11 @@ DIMENSIONS = {"position": 3, "yaw": 1, "size": 3, "velocity": 2}
 
 @dataclass(frozen=True)
 class Claimed:
-    """Errors by the covariances that a result has for them.
+    """Errors by the covariances that a result has for them."""
 
-    Attributes:
-        squared: Normalised squared error by quantity; without those whose covariance is not determined.
-        spread: Geometric mean of the semi-axes of each one's one-sigma region, degrees or metres.
-    """
-
+    # normalised squared error by quantity; without those whose covariance is not determined
     squared: Mapping[str, float]
-    spread: Mapping[str, float]
+    spread: Mapping[str, float]  # geometric mean of the semi-axes of each one's one-sigma region, degrees or metres
 
 
 def claimed(result: Reconstruction, position: Array, yaw: float, size: Array) -> Claimed:

@@ -30,36 +30,22 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class LeftOut:
-    """An object of a selected kind without keypoints, and why.
+    """An object of a selected kind without keypoints, and why."""
 
-    Attributes:
-        frame: Number of the image.
-        track: Number of the vehicle.
-        reason: Why.
-        kind: As labelled.
-    """
-
-    frame: int
-    track: int
-    reason: Reason
-    kind: str
+    frame: int  # number of the image
+    track: int  # number of the vehicle
+    reason: Reason  # why
+    kind: str  # as labelled
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Which objects are annotated.
-
-    Attributes:
-        kinds: Their kinds.
-        height: Least height of the 2D box, pixels.
-        occlusion: Most of KITTI's grade.
-        truncation: Largest share outside the image.
-    """
+    """Which objects are annotated."""
 
     kinds: tuple[str, ...] = ("Car", "Van")
-    height: float = 25.0
-    occlusion: int = 2
-    truncation: float = 0.5
+    height: float = 25.0  # least height of the 2D box, pixels
+    occlusion: int = 2  # most of KITTI's grade
+    truncation: float = 0.5  # largest share outside the image
 
     def __post_init__(self) -> None:
         """Check the limits.

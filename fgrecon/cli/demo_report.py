@@ -30,19 +30,12 @@ _TITLES = {"initialisation": "initial", "pose": "after pose", "shape": "after sh
 
 @dataclass(frozen=True)
 class Stage:
-    """The estimate at the end of a stage of the optimisation.
+    """The estimate at the end of a stage of the optimisation."""
 
-    Attributes:
-        title: Name of the stage.
-        camera_T_object: (4, 4) pose.
-        box_size: (3,) length, width and height, metres.
-        errors: Distances from the truth, by the names of `fgrecon.viz.truth`.
-    """
-
-    title: str
-    camera_T_object: NDArray[np.float64]
-    box_size: NDArray[np.float64]
-    errors: dict[str, float]
+    title: str  # name of the stage
+    camera_T_object: NDArray[np.float64]  # (4, 4) pose
+    box_size: NDArray[np.float64]  # (3,) length, width and height, metres
+    errors: dict[str, float]  # distances from the truth, by the names of `fgrecon.viz.truth`
 
 
 def true_values(scene: DemoScene) -> Truth:

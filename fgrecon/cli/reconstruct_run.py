@@ -210,23 +210,14 @@ def _refuse_of_one(request: ReconstructRequest) -> None:
 
 @dataclass
 class _Work:
-    """The photographs of a run, one after the other.
+    """The photographs of a run, one after the other."""
 
-    Attributes:
-        request: What is requested.
-        what: What of that is requested of each of them.
-        targets: The photographs, and for each the file of its results without ending.
-        screen: Where it is said.
-        problems: What could not be used, and why.
-        vehicles: How many have results.
-    """
-
-    request: ReconstructRequest
-    what: FileRequest
-    targets: dict[Path, Path]
-    screen: Screen
-    problems: list[str] = field(default_factory=list)
-    vehicles: int = 0
+    request: ReconstructRequest  # what is requested
+    what: FileRequest  # what of that is requested of each of them
+    targets: dict[Path, Path]  # the photographs, and for each the file of its results without ending
+    screen: Screen  # where it is said
+    problems: list[str] = field(default_factory=list)  # what could not be used, and why
+    vehicles: int = 0  # how many have results
 
     def _read(self, path: Path) -> ReadFile:
         read = read_file(path, self.what)

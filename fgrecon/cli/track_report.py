@@ -43,25 +43,16 @@ _ENDINGS = (".png", ".jpg", ".jpeg")
 
 @dataclass(frozen=True)
 class Solved:
-    """A track, its result, and where labels are known the results of its images one by one.
+    """A track, its result, and where labels are known the results of its images one by one."""
 
-    Attributes:
-        name: Name of the track.
-        file: Where it is from.
-        tasks: Its images.
-        sight: What it was solved from.
-        result: The result.
-        alone: Results of the images one by one, aligned with those of the track; empty without labels.
-        left_out: What was left out of the file, a line each.
-    """
-
-    name: str
-    file: Path
-    tasks: tuple[VehicleTask, ...]
-    sight: TrackInputs
+    name: str  # name of the track
+    file: Path  # where it is from
+    tasks: tuple[VehicleTask, ...]  # its images
+    sight: TrackInputs  # what it was solved from
     result: TrackReconstruction
+    # results of the images one by one, aligned with those of the track; empty without labels
     alone: tuple[Reconstruction | None, ...]
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # what was left out of the file, a line each
 
     @property
     def recording(self) -> Recording:

@@ -25,43 +25,27 @@ SIGMAS = (0.68, 0.95)
 
 @dataclass(frozen=True)
 class Region:
-    """What one estimate claims, and how far off it is.
+    """What one estimate claims, and how far off it is."""
 
-    Attributes:
-        group: What it is left out with, such as a drive.
-        quantity: What is estimated.
-        squared: Squared error by its covariance.
-        dimension: Of the error.
-        spread: Geometric mean of the one-sigma region's semi-axes, in the quantity's unit.
-        error: Length of the error in that unit.
-    """
-
-    group: str
-    quantity: str
-    squared: float
-    dimension: int
-    spread: float
-    error: float
+    group: str  # what it is left out with, such as a drive
+    quantity: str  # what is estimated
+    squared: float  # squared error by its covariance
+    dimension: int  # of the error
+    spread: float  # geometric mean of the one-sigma region's semi-axes, in the quantity's unit
+    error: float  # length of the error in that unit
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Regions of one quantity.
+    """Regions of one quantity."""
 
-    Attributes:
-        quantity: What was estimated.
-        count: Number of estimates.
-        claimed: (L,) share within their region of each of `LEVELS`.
-        inside: Share within their own, the scaled and the constant region at each of `SIGMAS`; the baselines' are NaN
-            with a single group.
-        width: Mean radius of these regions, in the quantity's unit.
-    """
-
-    quantity: str
-    count: int
-    claimed: Array
+    quantity: str  # what was estimated
+    count: int  # number of estimates
+    claimed: Array  # (L,) share within their region of each of `LEVELS`
+    # share within their own, the scaled and the constant region at each of `SIGMAS`; the baselines' are NaN with
+    # a single group
     inside: dict[float, dict[str, float]]
-    width: dict[float, dict[str, float]]
+    width: dict[float, dict[str, float]]  # mean radius of these regions, in the quantity's unit
 
 
 def coverage(regions: Sequence[Region]) -> list[Coverage]:
@@ -114,17 +98,11 @@ def _share(inside: NDArray[np.bool_], known: Array) -> float:
 
 @dataclass(frozen=True)
 class Reliability:
-    """How often statements of a confidence are right; arrays of B bins that hold equally many statements.
+    """How often statements of a confidence are right; arrays of B bins that hold equally many statements."""
 
-    Attributes:
-        confidence: (B,) mean confidence.
-        right: (B,) share that is right.
-        count: (B,) number of statements.
-    """
-
-    confidence: NDArray[np.float64]
-    right: NDArray[np.float64]
-    count: NDArray[np.int64]
+    confidence: NDArray[np.float64]  # (B,) mean confidence
+    right: NDArray[np.float64]  # (B,) share that is right
+    count: NDArray[np.int64]  # (B,) number of statements
 
     @property
     def error(self) -> float:

@@ -15,21 +15,16 @@ _DEFAULT = KeypointOptions()
 
 @dataclass(frozen=True)
 class BoxSource:
-    """Where the edges of a vehicle detector's boxes lie, beside those of the outlines (`fgrecon.BoxOptions`).
+    """Where the edges of a vehicle detector's boxes lie, beside those of the outlines (`fgrecon.BoxOptions`)."""
 
-    Attributes:
-        left: By how much the left edge lies further right, as a fraction of the width.
-        upper: By how much the upper edge lies lower, as a fraction of the height.
-        right: The right edge, as the left one.
-        lower: The lower edge, as the upper one.
-        spread: How far edges vary about that (1 sigma), as a fraction of the longer side. It is told and changes
-            nothing: boxes count by `BoxOptions.sigma_relative`.
-    """
-
+    # by how much the left edge lies further right, as a fraction of the width
     left: float = number(BoxOptions().left, least=-0.5, most=0.5)
+    # by how much the upper edge lies lower, as a fraction of the height
     upper: float = number(BoxOptions().upper, least=-0.5, most=0.5)
-    right: float = number(BoxOptions().right, least=-0.5, most=0.5)
-    lower: float = number(BoxOptions().lower, least=-0.5, most=0.5)
+    right: float = number(BoxOptions().right, least=-0.5, most=0.5)  # the right edge, as the left one
+    lower: float = number(BoxOptions().lower, least=-0.5, most=0.5)  # the lower edge, as the upper one
+    # how far edges vary about that (1 sigma), as a fraction of the longer side. It is told and changes nothing:
+    # boxes count by `BoxOptions.sigma_relative`
     spread: float = number(0.035, least=0.0, most=1.0)
 
     def __post_init__(self) -> None:

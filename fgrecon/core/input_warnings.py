@@ -114,17 +114,11 @@ _SUMMED_UP: ContextVar[bool] = ContextVar("summed_up", default=False)
 
 @dataclass
 class InputWarnings:
-    """What is doubtful of any number of vehicles; keeps the first names and counts.
+    """What is doubtful of any number of vehicles; keeps the first names and counts."""
 
-    Attributes:
-        judged: Vehicles with a result.
-        counts: Vehicles by what is doubtful.
-        names: The first of these.
-    """
-
-    judged: int = 0
-    counts: Counter[InputWarning] = field(default_factory=Counter)
-    names: dict[InputWarning, list[str]] = field(default_factory=dict)
+    judged: int = 0  # vehicles with a result
+    counts: Counter[InputWarning] = field(default_factory=Counter)  # vehicles by what is doubtful
+    names: dict[InputWarning, list[str]] = field(default_factory=dict)  # the first of these
 
     @classmethod
     def of(cls, found: Mapping[str, InputWarning | None]) -> InputWarnings:

@@ -54,25 +54,16 @@ class Regions(StrEnum):
 
 @dataclass(frozen=True)
 class ResultField:
-    """One field of a result's JSON.
+    """One field of a result's JSON."""
 
-    Attributes:
-        group: Attribute of `Reconstruction` that has it; empty where that is the result itself.
-        read: From its plain value.
-        shape: Of an array: K keypoints, N coefficients, P points, Q depth maps, None is any number.
-        nullable: Whether it can be null.
-        later: Whether earlier files have it not.
-        large: Whether the compact form leaves it out.
-        spare: Whether it is left out where it is empty.
-    """
-
-    group: str
-    read: Callable[[Any], Any] = array
+    group: str  # attribute of `Reconstruction` that has it; empty where that is the result itself
+    read: Callable[[Any], Any] = array  # from its plain value
+    # of an array: K keypoints, N coefficients, P points, Q depth maps, None is any number
     shape: tuple[int | str | None, ...] = ()
-    nullable: bool = False
-    later: bool = False
-    large: bool = False
-    spare: bool = False
+    nullable: bool = False  # whether it can be null
+    later: bool = False  # whether earlier files have it not
+    large: bool = False  # whether the compact form leaves it out
+    spare: bool = False  # whether it is left out where it is empty
 
 
 def _items(read: Callable[[Any], Any]) -> Callable[[Any], Any]:

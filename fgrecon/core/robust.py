@@ -50,17 +50,12 @@ _LOSSES = {
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a detector says about each keypoint, apart from where it is.
+    """What a detector says about each keypoint, apart from where it is."""
 
-    Attributes:
-        right: (K,) probability that the point is visible and right, from its confidence.
-        outlier: (K,) density of a wrong point relative to the peak density of a right one, 2 pi sqrt(|Sigma|) / area.
-        measured: (K,) whether there is a point at all.
-    """
-
-    right: Array
+    right: Array  # (K,) probability that the point is visible and right, from its confidence
+    # (K,) density of a wrong point relative to the peak density of a right one, 2 pi sqrt(|Sigma|) / area
     outlier: Array
-    measured: NDArray[np.bool_]
+    measured: NDArray[np.bool_]  # (K,) whether there is a point at all
 
 
 @dataclass(frozen=True)

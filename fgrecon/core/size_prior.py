@@ -108,20 +108,13 @@ _HEIGHT_ALLOWED = 0.5  # of a class's spread of height, in a solve: as of the fl
 
 @dataclass(frozen=True, eq=False)
 class ClassSizes:
-    """Sizes of vehicles by their class, and how classes of other programs are called.
+    """Sizes of vehicles by their class, and how classes of other programs are called."""
 
-    Attributes:
-        name: Of the fleet that they were measured on.
-        mean: (3,) mean length, width and height of each class, metres.
-        covariance: (3, 3) of each class, square metres.
-        share: Of each class among all, where nobody says which it is.
-        schemes: Probability of each class by another program's name for it, by its scheme and the name in lower case.
-    """
-
-    name: str
-    mean: Mapping[str, NDArray[np.float64]]
-    covariance: Mapping[str, NDArray[np.float64]]
-    share: Mapping[str, float]
+    name: str  # of the fleet that they were measured on
+    mean: Mapping[str, NDArray[np.float64]]  # (3,) mean length, width and height of each class, metres
+    covariance: Mapping[str, NDArray[np.float64]]  # (3, 3) of each class, square metres
+    share: Mapping[str, float]  # of each class among all, where nobody says which it is
+    # probability of each class by another program's name for it, by its scheme and the name in lower case
     schemes: Mapping[str, Mapping[str, Mapping[str, float]]]
 
     def probabilities(self, named: Mapping[str, float], scheme: str) -> dict[str, float]:

@@ -22,18 +22,12 @@ _FINEST = 64  # parts of a triangle's side, at most: a plane under a car may com
 
 @dataclass(frozen=True, eq=False)
 class VehicleMesh:
-    """A vehicle's mesh in its object frame: x forward, y down, z left, origin on the ground below the centre; metres.
+    """A vehicle's mesh, object frame: x forward, y down, z left, origin on the ground below the centre, metres."""
 
-    Attributes:
-        name: What it is called.
-        vertices: (V, 3) vertices.
-        faces: (F, 3) vertex indices of each triangle.
-        keypoints: (3,) place of each keypoint that is known on it, by name; may be empty.
-    """
-
-    name: str
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    name: str  # what it is called
+    vertices: NDArray[np.float64]  # (V, 3) vertices
+    faces: NDArray[np.int64]  # (F, 3) vertex indices of each triangle
+    # (3,) place of each keypoint that is known on it, by name; may be empty
     keypoints: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
     __repr__ = brief_repr
@@ -46,40 +40,25 @@ class VehicleMesh:
 
 @dataclass(frozen=True, eq=False)
 class ModelDistances:
-    """How far M models are from a vehicle, both in the object frame.
+    """How far M models are from a vehicle, both in the object frame."""
 
-    Attributes:
-        hausdorff: (M,) symmetric Hausdorff distance, metres: of the wireframes, or of the surfaces.
-        keypoints: (M,) mean distance of the keypoints, metres; NaN where the models have none in common.
-        between: What the Hausdorff distance is between: `keypoints` or `surfaces`.
-    """
-
-    hausdorff: NDArray[np.float64]
+    hausdorff: NDArray[np.float64]  # (M,) symmetric Hausdorff distance, metres: of the wireframes, or of the surfaces
+    # (M,) mean distance of the keypoints, metres; NaN where the models have none in common
     keypoints: NDArray[np.float64]
-    between: str
+    between: str  # what the Hausdorff distance is between: `keypoints` or `surfaces`
 
 
 @dataclass(frozen=True, eq=False)
 class ClosestModel:
-    """The model that a vehicle comes nearest to.
-
-    Attributes:
-        model: The model.
-        hausdorff: Its Hausdorff distance, metres.
-        keypoints: Mean distance of its keypoints, metres; NaN where there are none.
-        second: Name of the next one; empty where there is no other.
-        margin: By how much the next one's Hausdorff distance is larger, metres; infinite where there is no other.
-        between: What the Hausdorff distance is between: `keypoints` or `surfaces`.
-        count: How many models there were to choose from.
-    """
+    """The model that a vehicle comes nearest to."""
 
     model: VehicleMesh
-    hausdorff: float
-    keypoints: float
-    second: str
-    margin: float
-    between: str
-    count: int
+    hausdorff: float  # its Hausdorff distance, metres
+    keypoints: float  # mean distance of its keypoints, metres; NaN where there are none
+    second: str  # name of the next one; empty where there is no other
+    margin: float  # by how much the next one's Hausdorff distance is larger, metres; infinite where there is no other
+    between: str  # what the Hausdorff distance is between: `keypoints` or `surfaces`
+    count: int  # how many models there were to choose from
 
     __repr__ = brief_repr
 

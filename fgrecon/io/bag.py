@@ -36,19 +36,12 @@ def split(source: str | Path) -> tuple[Path, str | None]:
 
 @dataclass(frozen=True, eq=False)
 class Bag:
-    """A bag.
+    """A bag."""
 
-    Attributes:
-        path: The file or folder.
-        topics: The type of message of each topic, such as `sensor_msgs/msg/Image`.
-        types: What makes objects of messages: rosbags' typestore.
-        is_ros1: Whether it is one of ROS 1.
-    """
-
-    path: Path
-    topics: Mapping[str, str]
-    types: Any
-    is_ros1: bool
+    path: Path  # the file or folder
+    topics: Mapping[str, str]  # the type of message of each topic, such as `sensor_msgs/msg/Image`
+    types: Any  # what makes objects of messages: rosbags' typestore
+    is_ros1: bool  # whether it is one of ROS 1
 
     def of_type(self, *types: str) -> tuple[str, ...]:
         """The topics of some types."""

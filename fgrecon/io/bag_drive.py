@@ -48,15 +48,10 @@ _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f
 
 @dataclass(frozen=True)
 class LidarTopic:
-    """The LiDAR of a bag.
+    """The LiDAR of a bag."""
 
-    Attributes:
-        topic: Its points.
-        pose: File with the motion from its frame to the camera's; None for what TF tells.
-    """
-
-    topic: str
-    pose: Path | None = None
+    topic: str  # its points
+    pose: Path | None = None  # file with the motion from its frame to the camera's; None for what TF tells
 
 
 @dataclass
@@ -77,21 +72,13 @@ class _Index:
 
 @dataclass(frozen=True, eq=False)
 class BagDrive:
-    """A drive in a bag.
+    """A drive in a bag."""
 
-    Attributes:
-        frames: The pictures that are taken.
-        times: Nanoseconds of every picture of the topic.
-        recorded: When each was recorded, nanoseconds.
-        frame: The frame of the pictures.
-        warnings: What is doubtful.
-    """
-
-    frames: BagFrames
-    times: tuple[int, ...]
-    recorded: tuple[int, ...]
-    frame: str
-    warnings: list[str]
+    frames: BagFrames  # the pictures that are taken
+    times: tuple[int, ...]  # nanoseconds of every picture of the topic
+    recorded: tuple[int, ...]  # when each was recorded, nanoseconds
+    frame: str  # the frame of the pictures
+    warnings: list[str]  # what is doubtful
     _index: _Index
 
     @cached_property
@@ -209,23 +196,14 @@ class _World:
 
 @dataclass(frozen=True, eq=False)
 class BagClouds:
-    """A LiDAR's points.
-
-    Attributes:
-        drive: The drive.
-        topic: The topic.
-        frame: Their frame.
-        camera_T_lidar: (4, 4) as it was given, or None.
-        world: Where frames are, or None.
-        times: Nanoseconds of the scans and of their recording, growing.
-    """
+    """A LiDAR's points."""
 
     drive: BagDrive
     topic: str
     frame: str
-    camera_T_lidar: Array | None
-    world: _World | None
-    times: tuple[tuple[int, int], ...]
+    camera_T_lidar: Array | None  # (4, 4) as it was given, or None
+    world: _World | None  # where frames are, or None
+    times: tuple[tuple[int, int], ...]  # nanoseconds of the scans and of their recording, growing
 
     def evidence(self, number: int) -> tuple[Points, ...]:
         """The points nearest to a frame, in its camera's frame; nothing where there is no scan near it.

@@ -16,19 +16,12 @@ from fgrecon.io.source_frames import SourceFrame, sized
 
 @dataclass(frozen=True, eq=False)
 class BagFrames:
-    """A topic's pictures.
-
-    Attributes:
-        bag: The bag.
-        topic: The topic.
-        numbers: Of the messages that are taken, from 0.
-        times: Of each, seconds.
-    """
+    """A topic's pictures."""
 
     bag: Bag
     topic: str
-    numbers: tuple[int, ...]
-    times: tuple[float, ...]
+    numbers: tuple[int, ...]  # of the messages that are taken, from 0
+    times: tuple[float, ...]  # of each, seconds
     assumed_rate: bool = False
 
     @property

@@ -40,17 +40,11 @@ _BAYER = {"rggb": "BG", "bggr": "RG", "gbrg": "GR", "grbg": "GB"}
 
 @dataclass(frozen=True, eq=False)
 class BagPicture:
-    """A picture of a topic.
+    """A picture of a topic."""
 
-    Attributes:
-        place: Of its message in the topic, from 0.
-        image: (H, W, 3) RGB bytes; None where there is none.
-        problem: Why not, or None.
-    """
-
-    place: int
-    image: Pixels | None
-    problem: str | None = None
+    place: int  # of its message in the topic, from 0
+    image: Pixels | None  # (H, W, 3) RGB bytes; None where there is none
+    problem: str | None = None  # why not, or None
 
 
 def codec_of(message: Any) -> str | None:

@@ -45,23 +45,14 @@ _FIX = (
 
 @dataclass(frozen=True)
 class CsvBox:
-    """A row.
+    """A row."""
 
-    Attributes:
-        corners: (4,) x1, y1, x2, y2 in pixels.
-        kind: Its class; its number as text where the file has no names; `car` where there is no such column.
-        image: Name of its image, or None.
-        score: Or None.
-        track: Or None.
-        size: Width and height that the row states of its image, or None.
-    """
-
-    corners: NDArray[np.float64]
-    kind: str
-    image: str | None
-    score: float | None
-    track: int | None
-    size: tuple[int, int] | None
+    corners: NDArray[np.float64]  # (4,) x1, y1, x2, y2 in pixels
+    kind: str  # its class; its number as text where the file has no names; `car` where there is no such column
+    image: str | None  # name of its image, or None
+    score: float | None  # or None
+    track: int | None  # or None
+    size: tuple[int, int] | None  # width and height that the row states of its image, or None
 
 
 def read_csv_boxes(file: Path) -> list[CsvBox]:

@@ -63,29 +63,17 @@ Item_co = TypeVar("Item_co", bound=Boxed, covariant=True)
 
 @dataclass(frozen=True)
 class BoxLine:
-    """A line of a file.
+    """A line of a file."""
 
-    Attributes:
-        text: As it is written; an empty line is none of an object.
-        number: Of the line in its file, from 1.
-        frame: Its frame, where it is a line of the tracking set.
-        kind: Type of the object; empty where it is none.
-        corners: (4,) 2D box in pixels; NaN where it is marked as missing.
-        score: Of a result; 1 of a label.
-        location: (3,) centre of the box's bottom face in the labels' frame, metres.
-        rotation_y: Radians.
-        size: (3,) length, width and height, metres.
-    """
-
-    text: str
-    number: int
-    frame: int | None
-    kind: str
-    corners: Array
-    score: float
-    location: Array
-    rotation_y: float
-    size: Array
+    text: str  # as it is written; an empty line is none of an object
+    number: int  # of the line in its file, from 1
+    frame: int | None  # its frame, where it is a line of the tracking set
+    kind: str  # type of the object; empty where it is none
+    corners: Array  # (4,) 2D box in pixels; NaN where it is marked as missing
+    score: float  # of a result; 1 of a label
+    location: Array  # (3,) centre of the box's bottom face in the labels' frame, metres
+    rotation_y: float  # radians
+    size: Array  # (3,) length, width and height, metres
 
     @property
     def place(self) -> Mapping[str, str | int]:
@@ -118,19 +106,12 @@ class BoxLine:
 
 @dataclass(frozen=True)
 class BoxedImage(Generic[Item_co]):
-    """An image and its objects.
+    """An image and its objects."""
 
-    Attributes:
-        name: Of the image, without ending.
-        image: Its file; None where there is none.
-        source: The file of the objects.
-        objects: They: lines that are of none included.
-    """
-
-    name: str
-    image: Path | None
-    source: Path
-    objects: tuple[Item_co, ...]
+    name: str  # of the image, without ending
+    image: Path | None  # its file; None where there is none
+    source: Path  # the file of the objects
+    objects: tuple[Item_co, ...]  # they: lines that are of none included
 
 
 def boxed_images(boxes: Path, images: Path) -> list[BoxedImage[BoxLine]]:

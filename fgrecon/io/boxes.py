@@ -47,46 +47,27 @@ _FIX = (
 
 @dataclass(frozen=True)
 class NamedBox:
-    """A car's box.
+    """A car's box."""
 
-    Attributes:
-        name: Its id.
-        corners: (4,) x1, y1, x2, y2 in pixels.
-        model: What it encloses.
-        score: Of its detector, or None.
-        track: Id that a tracker gave it, or None.
-        kind: Its class as the file has it, one word such as `car`; or None.
-    """
-
-    name: str
-    corners: NDArray[np.float64]
-    model: BoxModel
-    score: float | None = None
-    track: int | None = None
-    kind: str | None = None
+    name: str  # its id
+    corners: NDArray[np.float64]  # (4,) x1, y1, x2, y2 in pixels
+    model: BoxModel  # what it encloses
+    score: float | None = None  # of its detector, or None
+    track: int | None = None  # id that a tracker gave it, or None
+    kind: str | None = None  # its class as the file has it, one word such as `car`; or None
 
 
 @dataclass(frozen=True)
 class FileBoxes:
-    """What a file has for an image.
+    """What a file has for an image."""
 
-    Attributes:
-        cars: The boxes that are taken.
-        low: How many cars were left out for their score.
-        crowds: How many boxes were left out as crowds.
-        classes: How many boxes of the image are of which other class.
-        images: How many boxes are of which other image.
-        near: How many cars of nuScenes reach nearer to the camera than its near plane, and have no 2D box.
-        absent: Whether a folder has no file for the image.
-    """
-
-    cars: list[NamedBox]
-    low: int = 0
-    crowds: int = 0
-    classes: Counter[str] = field(default_factory=Counter)
-    images: Counter[str] = field(default_factory=Counter)
-    near: int = 0
-    absent: bool = False
+    cars: list[NamedBox]  # the boxes that are taken
+    low: int = 0  # how many cars were left out for their score
+    crowds: int = 0  # how many boxes were left out as crowds
+    classes: Counter[str] = field(default_factory=Counter)  # how many boxes of the image are of which other class
+    images: Counter[str] = field(default_factory=Counter)  # how many boxes are of which other image
+    near: int = 0  # how many cars of nuScenes reach nearer to the camera than its near plane, and have no 2D box
+    absent: bool = False  # whether a folder has no file for the image
 
     @property
     def other_vehicles(self) -> Counter[str]:
@@ -266,27 +247,16 @@ def _of_lines(rows: Sequence[tuple[int, _Box]], image: str, least_score: float |
 
 @dataclass(frozen=True)
 class _Box:
-    """The box of a line in pixels.
+    """The box of a line in pixels."""
 
-    Attributes:
-        corners: (4,) x1, y1, x2, y2.
-        model: What it encloses.
-        kind: Its class.
-        named: Whether its line is its name.
-        score: Or None.
-        image: Name of its image, or None where its file has only one.
-        unit: Whether scores end at 1.
-        track: Or None.
-    """
-
-    corners: NDArray[np.float64]
-    model: BoxModel
-    kind: str
-    named: bool
-    score: float | None
-    image: str | None = None
-    unit: bool = True
-    track: int | None = None
+    corners: NDArray[np.float64]  # (4,) x1, y1, x2, y2
+    model: BoxModel  # what it encloses
+    kind: str  # its class
+    named: bool  # whether its line is its name
+    score: float | None  # or None
+    image: str | None = None  # name of its image, or None where its file has only one
+    unit: bool = True  # whether scores end at 1
+    track: int | None = None  # or None
 
     def below(self, least: float | None) -> bool:
         """Whether its score is lower than is allowed."""
@@ -454,21 +424,14 @@ def _coco(file: Path, changed: int) -> _Coco:  # noqa: ARG001  # a changed file 
 
 @dataclass(frozen=True)
 class _Coco:
-    """COCO's results (a list) or annotations (an object with images, categories and annotations).
-
-    Attributes:
-        file: The file.
-        entries: The boxes with their numbers, by the ids of their images.
-        pictures: The images that it lists; None where it is a list of results.
-        kinds: Names of the classes by their ids; None where it has none.
-        names: Of the images by their ids.
-    """
+    """COCO's results (a list) or annotations (an object with images, categories and annotations)."""
 
     file: Path
+    # the boxes with their numbers, by the ids of their images
     entries: Mapping[int | str | None, Sequence[tuple[int, Fields]]]
-    pictures: Sequence[Mapping[str, Any]] | None
-    kinds: Mapping[int | str | None, str] | None
-    names: Mapping[int | str | None, str]
+    pictures: Sequence[Mapping[str, Any]] | None  # the images that it lists; None where it is a list of results
+    kinds: Mapping[int | str | None, str] | None  # names of the classes by their ids; None where it has none
+    names: Mapping[int | str | None, str]  # of the images by their ids
 
     def of_image(self, image: Path, size: tuple[int, int] | None, least_score: float, *, scale: bool) -> FileBoxes:
         """The boxes of an image, those of a lower score left out."""

@@ -34,19 +34,12 @@ _DIGITS = 9  # of a frame's number: no video has more frames; a longer one is a 
 
 @dataclass(frozen=True)
 class OrderedImages:
-    """Images in the order of their frames.
+    """Images in the order of their frames."""
 
-    Attributes:
-        paths: The files.
-        numbers: Of the frames, growing.
-        times: Seconds, by the names; None where those tell none.
-        numbered: Whether the names tell the numbers; else they are places.
-    """
-
-    paths: tuple[Path, ...]
-    numbers: tuple[int, ...]
-    times: tuple[float, ...] | None
-    numbered: bool
+    paths: tuple[Path, ...]  # the files
+    numbers: tuple[int, ...]  # of the frames, growing
+    times: tuple[float, ...] | None  # seconds, by the names; None where those tell none
+    numbered: bool  # whether the names tell the numbers; else they are places
 
 
 def frames_by_name(paths: Iterable[Path]) -> OrderedImages:

@@ -44,25 +44,15 @@ _LEFT_COLOUR = ("image_02", "image_2")
 
 @dataclass(frozen=True)
 class ImageFrames:
-    """Images as frames.
+    """Images as frames."""
 
-    Attributes:
-        paths: The files.
-        names: Of each, no two alike.
-        numbers: Of each.
-        times: Of each, seconds.
-        numbered: Whether the names tell the numbers; else they are places.
-        assumed_rate: Whether the times rest on frames per second that nobody gave.
-        left_out: Numbers of the images that were not chosen.
-    """
-
-    paths: tuple[Path, ...]
-    names: tuple[str, ...]
+    paths: tuple[Path, ...]  # the files
+    names: tuple[str, ...]  # of each, no two alike
     numbers: tuple[int, ...]
-    times: tuple[float, ...]
-    numbered: bool
-    assumed_rate: bool = False
-    left_out: frozenset[int] = frozenset()
+    times: tuple[float, ...]  # of each, seconds
+    numbered: bool  # whether the names tell the numbers; else they are places
+    assumed_rate: bool = False  # whether the times rest on frames per second that nobody gave
+    left_out: frozenset[int] = frozenset()  # numbers of the images that were not chosen
 
     @property
     def first_file(self) -> Path:
@@ -98,19 +88,12 @@ def _of_file(path: Path, name: str, number: int, time: float, size: tuple[int, .
 
 @dataclass(frozen=True)
 class NumberedFrames:
-    """Frames of which there are no images, but vehicles that others have found.
+    """Frames of which there are no images, but vehicles that others have found."""
 
-    Attributes:
-        path: The file that tells their numbers.
-        numbers: Of each.
-        times: Of each, seconds.
-        assumed_rate: Whether the times rest on frames per second that nobody gave.
-    """
-
-    path: Path
+    path: Path  # the file that tells their numbers
     numbers: tuple[int, ...]
-    times: tuple[float, ...]
-    assumed_rate: bool = False
+    times: tuple[float, ...]  # of each, seconds
+    assumed_rate: bool = False  # whether the times rest on frames per second that nobody gave
 
     @property
     def first_file(self) -> Path:

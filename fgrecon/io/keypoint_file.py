@@ -74,41 +74,24 @@ _FILE_FIELDS = {"instances"} | _CAMERA_FIELDS
 
 @dataclass(frozen=True)
 class Instance:
-    """What is known about one vehicle, as `fgrecon.reconstruct` takes it.
+    """What is known about one vehicle, as `fgrecon.reconstruct` takes it."""
 
-    Attributes:
-        name: Its id.
-        keypoints: (K, 2) pixels in the category's order, NaN where not found.
-        confidence: (K,), or None.
-        confidence_midpoint: Confidence at which a point is as likely right as wrong, or None.
-        box: (4,) x1, y1, x2, y2 in pixels, or None.
-        covariance: (K, 2, 2) in square pixels, or None.
-        azimuth: (A,) probability of each direction that it is seen from, as in `Observation`, or None.
-        initial: 3D box, or guess of rotation_y in radians, or None.
-        camera: The camera that the file names for it, or None.
-        image: Name of the photograph that it is in, as the file has it, or None.
-        frame: Number of the frame of a video that it is in, or None.
-        track: Id of the vehicle through the frames of a video, or None.
-        kind: What it is, one word such as `Van`, which results repeat; or None.
-        score: How sure its detector is, which exports repeat; or None.
-        image_size: Width and height in pixels that the file states of its image, or None.
-    """
-
-    name: str
-    keypoints: Array
-    confidence: Array | None = None
-    confidence_midpoint: float | None = None
-    box: Array | None = None
-    covariance: Array | None = None
+    name: str  # its id
+    keypoints: Array  # (K, 2) pixels in the category's order, NaN where not found
+    confidence: Array | None = None  # (K,), or None
+    confidence_midpoint: float | None = None  # confidence at which a point is as likely right as wrong, or None
+    box: Array | None = None  # (4,) x1, y1, x2, y2 in pixels, or None
+    covariance: Array | None = None  # (K, 2, 2) in square pixels, or None
+    # (A,) probability of each direction that it is seen from, as in `Observation`, or None
     azimuth: Array | None = None
-    initial: Box3D | float | None = None
-    camera: Camera | None = None
-    image: str | None = None
-    frame: int | None = None
-    track: int | None = None
-    kind: str | None = None
-    score: float | None = None
-    image_size: tuple[int, int] | None = None
+    initial: Box3D | float | None = None  # 3D box, or guess of rotation_y in radians, or None
+    camera: Camera | None = None  # the camera that the file names for it, or None
+    image: str | None = None  # name of the photograph that it is in, as the file has it, or None
+    frame: int | None = None  # number of the frame of a video that it is in, or None
+    track: int | None = None  # id of the vehicle through the frames of a video, or None
+    kind: str | None = None  # what it is, one word such as `Van`, which results repeat; or None
+    score: float | None = None  # how sure its detector is, which exports repeat; or None
+    image_size: tuple[int, int] | None = None  # width and height in pixels that the file states of its image, or None
 
     def fitted(self, size: tuple[int, int] | None, *, scale: bool = False) -> Instance:
         """The same in pixels of an image of a size, which is the camera's or the picture's; None where it is not known.
@@ -140,18 +123,12 @@ class Instance:
 
 @dataclass(frozen=True)
 class KeypointFile:
-    """The content of a file.
+    """The content of a file."""
 
-    Attributes:
-        instances: At least one, with distinct names.
-        ignored: Names of fields that mean nothing to fgrecon.
-        left_out: Why instances were left out, each with its place.
-        unknown: Keypoints of instances that the category does not have, which were left out, with their places.
-    """
-
-    instances: tuple[Instance, ...]
-    ignored: tuple[str, ...]
-    left_out: tuple[InvalidInputError, ...] = ()
+    instances: tuple[Instance, ...]  # at least one, with distinct names
+    ignored: tuple[str, ...]  # names of fields that mean nothing to fgrecon
+    left_out: tuple[InvalidInputError, ...] = ()  # why instances were left out, each with its place
+    # keypoints of instances that the category does not have, which were left out, with their places
     unknown: tuple[InvalidInputError, ...] = ()
 
 

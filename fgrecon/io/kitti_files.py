@@ -30,48 +30,28 @@ _UNKNOWN = -1.0
 
 
 class DetectionLine(NamedTuple):
-    """One line of a file of detections.
+    """One line of a file of detections."""
 
-    Attributes:
-        image: Name of the image.
-        label: Number of the class.
-        score: How sure the detector is.
-        box: x1, y1, x2, y2 in pixels.
-        model: What the box encloses, where the line says it.
-    """
-
-    image: str
-    label: str
-    score: float
-    box: list[float]
-    model: BoxModel | None
+    image: str  # name of the image
+    label: str  # number of the class
+    score: float  # how sure the detector is
+    box: list[float]  # x1, y1, x2, y2 in pixels
+    model: BoxModel | None  # what the box encloses, where the line says it
 
 
 @dataclass(frozen=True)
 class Objects:
-    """The M objects of one frame, column by column.
+    """The M objects of one frame, column by column."""
 
-    Attributes:
-        kind: M types as written, such as `Car` or `DontCare`.
-        truncation: (M,) share outside the image, 0 to 1; -1 where unknown.
-        occlusion: (M,) 0 fully visible, 1 partly, 2 largely occluded, 3 unknown; -1 where not given.
-        alpha: (M,) observation angle, radians; -10 where invalid.
-        box: (M, 4) 2D box x1, y1, x2, y2 in pixels.
-        size: (M, 3) length, width and height, metres.
-        location: (M, 3) centre of the bottom face in the rectified reference camera, metres.
-        rotation_y: (M,) yaw about the camera's y axis, radians.
-        score: (M,) of results; NaN in labels.
-    """
-
-    kind: tuple[str, ...]
-    truncation: NDArray[np.float64]
-    occlusion: NDArray[np.int64]
-    alpha: NDArray[np.float64]
-    box: NDArray[np.float64]
-    size: NDArray[np.float64]
-    location: NDArray[np.float64]
-    rotation_y: NDArray[np.float64]
-    score: NDArray[np.float64]
+    kind: tuple[str, ...]  # M types as written, such as `Car` or `DontCare`
+    truncation: NDArray[np.float64]  # (M,) share outside the image, 0 to 1; -1 where unknown
+    occlusion: NDArray[np.int64]  # (M,) 0 fully visible, 1 partly, 2 largely occluded, 3 unknown; -1 where not given
+    alpha: NDArray[np.float64]  # (M,) observation angle, radians; -10 where invalid
+    box: NDArray[np.float64]  # (M, 4) 2D box x1, y1, x2, y2 in pixels
+    size: NDArray[np.float64]  # (M, 3) length, width and height, metres
+    location: NDArray[np.float64]  # (M, 3) centre of the bottom face in the rectified reference camera, metres
+    rotation_y: NDArray[np.float64]  # (M,) yaw about the camera's y axis, radians
+    score: NDArray[np.float64]  # (M,) of results; NaN in labels
 
     def __len__(self) -> int:
         """Number of objects."""
@@ -171,15 +151,10 @@ _FIX = "Give lines of frame, track and an object label."
 
 @dataclass(frozen=True, eq=False)
 class TrackedObjects:
-    """The M objects of one frame.
+    """The M objects of one frame."""
 
-    Attributes:
-        objects: What they are and where.
-        tracks: (M,) number of the track of each; -1 for none.
-    """
-
-    objects: Objects
-    tracks: NDArray[np.int64]
+    objects: Objects  # what they are and where
+    tracks: NDArray[np.int64]  # (M,) number of the track of each; -1 for none
 
 
 def read_tracking(path: Path, fix: str = _FIX, *, results: bool = True) -> dict[int, TrackedObjects]:

@@ -25,13 +25,9 @@ _TABLES = "calibrated_sensor", "sample_data"
 
 @dataclass(frozen=True)
 class NuScenesTables:
-    """A folder of tables; each is read when it is first asked for.
+    """A folder of tables; each is read when it is first asked for."""
 
-    Attributes:
-        folder: The folder, such as `v1.0-mini`.
-    """
-
-    folder: Path
+    folder: Path  # the folder, such as `v1.0-mini`
 
     def table(self, name: str) -> Mapping[str, Fields]:
         """The records of a table by their tokens.

@@ -32,29 +32,17 @@ _FIX = "Give a submission of nuScenes' detection task: an object with `results`,
 
 @dataclass(frozen=True, eq=False)
 class SubmittedBox:
-    """A box of a submission in the image that shows it.
+    """A box of a submission in the image that shows it."""
 
-    Attributes:
-        number: Of the box in its file, from 0.
-        kind: Its `detection_name`.
-        score: Its `detection_score`.
-        place: What finds it in the file: sample and number within it, from 0.
-        entry: The box as it is written.
-        world_T_object: (4, 4) its centre and its axes forward, left, up.
-        size: (3,) length, width and height, metres.
-        world_T_camera: (4, 4) pose of the camera that took the image.
-        corners: (4,) NaN: a submission has no 2D boxes.
-    """
-
-    number: int
-    kind: str
-    score: float
-    place: Mapping[str, str | int]
-    entry: Mapping[str, Any]
-    world_T_object: Array
-    size: Array
-    world_T_camera: Array
-    corners: Array
+    number: int  # of the box in its file, from 0
+    kind: str  # its `detection_name`
+    score: float  # its `detection_score`
+    place: Mapping[str, str | int]  # what finds it in the file: sample and number within it, from 0
+    entry: Mapping[str, Any]  # the box as it is written
+    world_T_object: Array  # (4, 4) its centre and its axes forward, left, up
+    size: Array  # (3,) length, width and height, metres
+    world_T_camera: Array  # (4, 4) pose of the camera that took the image
+    corners: Array  # (4,) NaN: a submission has no 2D boxes
 
     def box(self, offset: Array) -> Box3D | None:
         """The 3D box in the camera's frame; None where it is not in front of the camera.
@@ -88,15 +76,10 @@ class SubmittedBox:
 
 @dataclass(frozen=True)
 class Submission:
-    """A submission and the images of its samples.
+    """A submission and the images of its samples."""
 
-    Attributes:
-        data: The file's content.
-        images: Those of its samples that are there, with the boxes that each shows.
-    """
-
-    data: Mapping[str, Any]
-    images: tuple[BoxedImage[SubmittedBox], ...]
+    data: Mapping[str, Any]  # the file's content
+    images: tuple[BoxedImage[SubmittedBox], ...]  # those of its samples that are there, with the boxes that each shows
 
     def text(self, changed: Mapping[int, Mapping[str, Any]]) -> str:
         """The JSON of the submission with other entries for some boxes, by their numbers."""

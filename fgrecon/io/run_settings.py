@@ -19,21 +19,13 @@ from fgrecon.io.integrity import file_hash
 
 @dataclass(frozen=True)
 class RunSettings:
-    """What holds for every vehicle of a run.
-
-    Attributes:
-        prior: The shape prior.
-        ground: The ground plane, or None.
-        size_prior: How large vehicles are, or None.
-        options: How they are solved.
-        prior_file: Where the prior is from; None for a shipped one.
-    """
+    """What holds for every vehicle of a run."""
 
     prior: ShapePrior
-    ground: Ground | None
-    size_prior: SizePrior | None
-    options: Options
-    prior_file: Path | None = None
+    ground: Ground | None  # the ground plane, or None
+    size_prior: SizePrior | None  # how large vehicles are, or None
+    options: Options  # how they are solved
+    prior_file: Path | None = None  # where the prior is from; None for a shipped one
 
     @classmethod
     def of(cls, prior: str, ground: Ground | None, size_prior: str | None, options: Options) -> RunSettings:

@@ -42,17 +42,11 @@ def sized(frame: SourceFrame, size: tuple[int, ...] | None, name: str) -> Source
 
 @dataclass(frozen=True)
 class Choice:
-    """Which frames are taken.
+    """Which frames are taken."""
 
-    Attributes:
-        every: Every so many frames.
-        start: Seconds after the first frame before which none is taken.
-        end: Seconds after the first frame from which on none is taken, or None.
-    """
-
-    every: int = 1
-    start: float = 0.0
-    end: float | None = None
+    every: int = 1  # every so many frames
+    start: float = 0.0  # seconds after the first frame before which none is taken
+    end: float | None = None  # seconds after the first frame from which on none is taken, or None
 
     def __post_init__(self) -> None:
         """Check the numbers.

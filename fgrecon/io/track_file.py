@@ -29,49 +29,32 @@ _INTRINSICS_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """Labelled pose.
+    """Labelled pose."""
 
-    Attributes:
-        location: (3,) origin of the vehicle (centre of its bottom face) in the label's frame, metres.
-        rotation_y: Yaw about the camera's y axis, radians; 0 when the vehicle faces camera +x.
-        box_size: (3,) length, width and height, metres, or None where the file does not tell them.
-    """
-
-    location: NDArray[np.float64]
-    rotation_y: float
+    location: NDArray[np.float64]  # (3,) origin of the vehicle (centre of its bottom face) in the label's frame, metres
+    rotation_y: float  # yaw about the camera's y axis, radians; 0 when the vehicle faces camera +x
+    # (3,) length, width and height, metres, or None where the file does not tell them
     box_size: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
 class TrackFrame:
-    """One vehicle in one image.
+    """One vehicle in one image."""
 
-    Attributes:
-        name: `<track>:<number of the frame>`, shown wherever the frame is mentioned.
-        observation: Keypoints, confidences and box; None where the frame has no measured keypoint at all.
-        truth: The labelled pose.
-    """
-
-    name: str
+    name: str  # `<track>:<number of the frame>`, shown wherever the frame is mentioned
+    # keypoints, confidences and box; None where the frame has no measured keypoint at all
     observation: Observation | None
-    truth: GroundTruth
+    truth: GroundTruth  # the labelled pose
 
 
 @dataclass(frozen=True)
 class Track:
-    """One vehicle over several images of one camera.
+    """One vehicle over several images of one camera."""
 
-    Attributes:
-        name: Name of the track (of its file, without the ending).
-        camera: The colour camera. The files do not tell the image's size.
-        label_offset: (3,) t2 in metres: a labelled point in the colour camera's frame is X + t2.
-        frames: In the order of the file, at least one.
-    """
-
-    name: str
-    camera: Camera
-    label_offset: NDArray[np.float64]
-    frames: tuple[TrackFrame, ...]
+    name: str  # name of the track (of its file, without the ending)
+    camera: Camera  # the colour camera. The files do not tell the image's size
+    label_offset: NDArray[np.float64]  # (3,) t2 in metres: a labelled point in the colour camera's frame is X + t2
+    frames: tuple[TrackFrame, ...]  # in the order of the file, at least one
 
 
 def read_track(path: Path, category: Category) -> Track:

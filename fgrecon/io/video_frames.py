@@ -26,20 +26,14 @@ _MISSING = 0.1  # share of a video's duration, as its head tells it, of which no
 
 @dataclass(frozen=True)
 class VideoFrames:
-    """A video's frames.
+    """A video's frames."""
 
-    Attributes:
-        path: The file.
-        count: About how many frames are taken, by its head, which often tells something else than there is: for
-            progress alone. None where it tells nothing.
-        choice: Which frames are taken.
-        lasts: Seconds, as its head tells; None where it does not.
-    """
-
-    path: Path
+    path: Path  # the file
+    # about how many frames are taken, by its head, which often tells something else than there is: for progress
+    # alone. None where it tells nothing
     count: int | None
-    choice: Choice
-    lasts: float | None = None
+    choice: Choice  # which frames are taken
+    lasts: float | None = None  # seconds, as its head tells; None where it does not
     assumed_rate: bool = False
 
     @property

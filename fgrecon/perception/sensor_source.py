@@ -33,27 +33,16 @@ IMAGES = (".png", ".jpg", ".jpeg")
 
 @dataclass(frozen=True)
 class SensorSource:
-    """What is given beside the images; every part may be None.
+    """What is given beside the images; every part may be None."""
 
-    Attributes:
-        lidar: Points: a file, a folder with one for each image, of its name, or a pattern.
-        lidar_pose: File with the motion from the LiDAR's frame to the camera's.
-        masks: Masks of the vehicles: as `lidar`, or COCO JSON of all images.
-        camera: What is given of the camera.
-        depth: Depth maps, in the same way.
-        depth_scale: Whether their numbers are metres.
-        depth_inverse: Whether they are inverse depths.
-        right: Right images of rectified pairs, in the same way; KITTI's calibration has both cameras.
-    """
-
-    lidar: str | None = None
-    lidar_pose: Path | None = None
-    masks: str | None = None
-    camera: CameraSource = field(default_factory=CameraSource)
-    depth: str | None = None
-    depth_scale: DepthScale = DepthScale.METRIC
-    depth_inverse: bool = False
-    right: str | None = None
+    lidar: str | None = None  # points: a file, a folder with one for each image, of its name, or a pattern
+    lidar_pose: Path | None = None  # file with the motion from the LiDAR's frame to the camera's
+    masks: str | None = None  # masks of the vehicles: as `lidar`, or COCO JSON of all images
+    camera: CameraSource = field(default_factory=CameraSource)  # what is given of the camera
+    depth: str | None = None  # depth maps, in the same way
+    depth_scale: DepthScale = DepthScale.METRIC  # whether their numbers are metres
+    depth_inverse: bool = False  # whether they are inverse depths
+    right: str | None = None  # right images of rectified pairs, in the same way; KITTI's calibration has both cameras
 
     def __post_init__(self) -> None:
         """Refuse a pose of nothing, and what has no files.

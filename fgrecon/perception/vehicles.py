@@ -52,15 +52,10 @@ _LEAST_SIDE = 64  # OpenCV 5.0 enlarges a map of one column to garbage
 
 @dataclass(frozen=True)
 class Look:
-    """One run of the network over the image.
+    """One run of the network over the image."""
 
-    Attributes:
-        area_px: Of the input. Images are not enlarged.
-        min_side: Boxes whose longer side is a smaller share of the image's are left to another look.
-    """
-
-    area_px: int
-    min_side: float = 0.0
+    area_px: int  # of the input. Images are not enlarged
+    min_side: float = 0.0  # boxes whose longer side is a smaller share of the image's are left to another look
 
 
 @dataclass(frozen=True)

@@ -21,18 +21,13 @@ OUTLIER = 0.1
 
 @dataclass(frozen=True)
 class Twins:
-    """Which keypoints look alike, as indices (K,) into the category's keypoints.
+    """Which keypoints look alike, as indices (K,) into the category's keypoints."""
 
-    Attributes:
-        mirrored: The other side's keypoint (left and right confused).
-        rotated: The one at the same place of the vehicle turned by 180 degrees (front and back confused): the left
-            headlight for the right taillight. Keypoints without a counterpart (side mirrors) have their mirror image.
-        swapped: The one at the other end of the same side.
-    """
-
-    mirrored: NDArray[np.intp]
+    mirrored: NDArray[np.intp]  # the other side's keypoint (left and right confused)
+    # the one at the same place of the vehicle turned by 180 degrees (front and back confused): the left headlight
+    # for the right taillight. Keypoints without a counterpart (side mirrors) have their mirror image
     rotated: NDArray[np.intp]
-    swapped: NDArray[np.intp]
+    swapped: NDArray[np.intp]  # the one at the other end of the same side
 
     @classmethod
     def of(cls, category: Category) -> Twins:

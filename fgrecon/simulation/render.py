@@ -35,56 +35,36 @@ _GAMMA = 2.2
 
 @dataclass(frozen=True)
 class Body:
-    """One thing to draw.
+    """One thing to draw."""
 
-    Attributes:
-        vertices: (V, 3) surface, object frame, metres.
-        faces: (F, 3) its triangles, counter-clockwise as seen from outside. Normals are interpolated between triangles
-            that share a vertex: a sharp edge needs vertices of its own on either side.
-        paint: Its colours.
-        camera_T_object: (4, 4) pose.
-    """
-
-    vertices: Array
+    vertices: Array  # (V, 3) surface, object frame, metres
+    # (F, 3) its triangles, counter-clockwise as seen from outside. Normals are interpolated between triangles
+    # that share a vertex: a sharp edge needs vertices of its own on either side
     faces: NDArray[np.integer]
-    paint: Paint
-    camera_T_object: Array
+    paint: Paint  # its colours
+    camera_T_object: Array  # (4, 4) pose
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A rendered image.
+    """A rendered image."""
 
-    Attributes:
-        image: (H, W, 3) RGB.
-        depth: (H, W) distance along the camera's z axis in metres, infinite where nothing was drawn.
-        body: (H, W) index of the body that is seen at the pixel's centre, -1 where none is.
-    """
-
-    image: NDArray[np.uint8]
-    depth: Array
-    body: NDArray[np.int16]
+    image: NDArray[np.uint8]  # (H, W, 3) RGB
+    depth: Array  # (H, W) distance along the camera's z axis in metres, infinite where nothing was drawn
+    body: NDArray[np.int16]  # (H, W) index of the body that is seen at the pixel's centre, -1 where none is
 
     __repr__ = brief_repr
 
 
 @dataclass(frozen=True)
 class Fragments:
-    """The M pixels that show a surface.
+    """The M pixels that show a surface."""
 
-    Attributes:
-        rows: (M,) row of each.
-        columns: (M,) column of each.
-        face: (M,) triangle that it shows.
-        weights: (M, 3) of the triangle's corners at the point seen, summing to 1.
-        depth: (M,) along the camera's z axis, metres.
-    """
-
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
-    face: NDArray[np.intp]
-    weights: Array
-    depth: Array
+    rows: NDArray[np.intp]  # (M,) row of each
+    columns: NDArray[np.intp]  # (M,) column of each
+    face: NDArray[np.intp]  # (M,) triangle that it shows
+    weights: Array  # (M, 3) of the triangle's corners at the point seen, summing to 1
+    depth: Array  # (M,) along the camera's z axis, metres
 
     def interpolate(self, values: Array, faces: NDArray[np.integer]) -> Array:
         """(M, C) values at the fragments from values (V, C) at the vertices."""

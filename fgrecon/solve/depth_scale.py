@@ -35,17 +35,11 @@ _STEP = 1e-6  # of numeric derivatives
 
 @dataclass(frozen=True)
 class _Samples:
-    """Numbers of a map where something else says the depth.
+    """Numbers of a map where something else says the depth."""
 
-    Attributes:
-        number: (M,) of the map.
-        metres: (M,) depth.
-        sigma: (M,) standard deviation of its logarithm.
-    """
-
-    number: Array
-    metres: Array
-    sigma: Array
+    number: Array  # (M,) of the map
+    metres: Array  # (M,) depth
+    sigma: Array  # (M,) standard deviation of its logarithm
 
     @classmethod
     def joined(cls, parts: Sequence[_Samples]) -> _Samples:
@@ -182,21 +176,13 @@ def _start(depth: DepthMap, samples: _Samples) -> tuple[float, float] | None:
 
 @dataclass(frozen=True)
 class _Fit:
-    """A first scale and shift; five numbers change it: log scale, shift, and the plane's log height and slopes.
-
-    Attributes:
-        depth: The map.
-        plane: Samples of the ground and their rays, or None.
-        ground: The ground, or None.
-        start: Scale and shift that the numbers change,
-        typical: and the (inverse) depth in which the shift is measured.
-    """
+    """A first scale and shift; five numbers change it: log scale, shift, and the plane's log height and slopes."""
 
     depth: DepthMap
-    plane: tuple[_Samples, Array] | None
-    ground: Ground | None
-    start: tuple[float, float]
-    typical: float
+    plane: tuple[_Samples, Array] | None  # samples of the ground and their rays, or None
+    ground: Ground | None  # the ground, or None
+    start: tuple[float, float]  # scale and shift that the numbers change,
+    typical: float  # and the (inverse) depth in which the shift is measured
 
     @property
     def known(self) -> Array:

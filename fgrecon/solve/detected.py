@@ -28,17 +28,11 @@ from fgrecon.solve.vehicle.model import VehicleModel, sized
 
 @dataclass(frozen=True)
 class KnownBox:
-    """What a detector says of a vehicle.
-
-    Attributes:
-        box: The box.
-        errors: How far it is off.
-        unsized: The prior prepared without a size, for that of the box.
-    """
+    """What a detector says of a vehicle."""
 
     box: Box3D
-    errors: BoxErrors
-    unsized: VehicleModel
+    errors: BoxErrors  # how far it is off
+    unsized: VehicleModel  # the prior prepared without a size, for that of the box
 
     def problem(self, seen: Observation, camera: Camera, setup: SolveSetup) -> Problem:
         """The vehicle as a problem to be solved.

@@ -39,34 +39,21 @@ class FrameContext:
 
 @dataclass(frozen=True)
 class VehicleTrack:
-    """A vehicle and where its frames were taken.
-
-    Attributes:
-        vehicle: The vehicle.
-        last: The frame of a camera in which it was observed last.
-        contexts: Of each frame of its past.
-        classes: Of which class it is, by its frames; None where none says.
-    """
+    """A vehicle and where its frames were taken."""
 
     vehicle: VehicleFilter
-    last: CameraFrame
-    contexts: tuple[FrameContext, ...]
-    classes: ClassBelief | None = None
+    last: CameraFrame  # the frame of a camera in which it was observed last
+    contexts: tuple[FrameContext, ...]  # of each frame of its past
+    classes: ClassBelief | None = None  # of which class it is, by its frames; None where none says
 
 
 @dataclass(frozen=True)
 class FrameVehicles:
-    """The vehicles of a frame, looked at but not taken yet.
+    """The vehicles of a frame, looked at but not taken yet."""
 
-    Attributes:
-        updates: By id.
-        refused: Why others could not be looked at, by id.
-        classes: Of which class each is, by id; None where nothing says.
-    """
-
-    updates: Mapping[int, VehicleUpdate]
-    refused: Mapping[int, FgreconError]
-    classes: Mapping[int, ClassBelief | None]
+    updates: Mapping[int, VehicleUpdate]  # by id
+    refused: Mapping[int, FgreconError]  # why others could not be looked at, by id
+    classes: Mapping[int, ClassBelief | None]  # of which class each is, by id; None where nothing says
 
     def poses(self) -> list[Array]:
         """Pose (4, 4) of each that was looked at."""

@@ -21,15 +21,10 @@ from fgrecon.solve.time.frame import Frame
 
 @dataclass(frozen=True)
 class GroundEvidence:
-    """What the vehicles of a frame say of G(0).
+    """What the vehicles of a frame say of G(0)."""
 
-    Attributes:
-        said: For where it is.
-        common_factor: By how much less it says of how sure that is, see `Problem.common_factor`.
-    """
-
-    said: Marginal
-    common_factor: float
+    said: Marginal  # for where it is
+    common_factor: float  # by how much less it says of how sure that is, see `Problem.common_factor`
 
 
 def ground_evidence(

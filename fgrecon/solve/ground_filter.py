@@ -40,24 +40,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """A frame of a camera, before its vehicles are looked at.
+    """A frame of a camera, before its vehicles are looked at."""
 
-    Attributes:
-        time: Seconds, by a clock on which no two frames are of one time.
-        camera: The camera.
-        ground: About where the ground is, or None.
-        world_T_camera: Pose of the camera, or None.
-        motion_covariance: (6, 6) of the camera's motion since the last frame with a place: rotation, translation in its
-            frame; None where it is exact.
-        drift: How far the camera may be astray.
-    """
-
-    time: float
+    time: float  # seconds, by a clock on which no two frames are of one time
     camera: Camera
-    ground: Ground | None = None
-    world_T_camera: gtsam.Pose3 | None = None
+    ground: Ground | None = None  # about where the ground is, or None
+    world_T_camera: gtsam.Pose3 | None = None  # pose of the camera, or None
+    # (6, 6) of the camera's motion since the last frame with a place: rotation, translation in its frame; None
+    # where it is exact
     motion_covariance: Array | None = None
-    drift: CameraDrift = field(default_factory=CameraDrift)
+    drift: CameraDrift = field(default_factory=CameraDrift)  # how far the camera may be astray
 
     def motion_from(self, before: CameraFrame) -> gtsam.Pose3 | None:
         """camera_before_T_camera_now; None where that is not known."""
@@ -118,17 +110,11 @@ class _Known:
 
 @dataclass(frozen=True)
 class KnownGround:
-    """The ground of a frame.
+    """The ground of a frame."""
 
-    Attributes:
-        ground: The plane, and how far each vehicle is taken to be off it for itself.
-        nominal: About where it is.
-        covariance: (3, 3) of its height, pitch and roll.
-    """
-
-    ground: Ground
-    nominal: Ground
-    covariance: Array
+    ground: Ground  # the plane, and how far each vehicle is taken to be off it for itself
+    nominal: Ground  # about where it is
+    covariance: Array  # (3, 3) of its height, pitch and roll
 
     def considered(self, camera_T_object: Array, covariance: Array) -> Array:
         """The covariance (6, 6) of a pose that was solved on it, with what was left out of the ground's own.

@@ -160,19 +160,12 @@ def _either_way(ahead: Array, right: float) -> Array:
 
 @dataclass(frozen=True)
 class _Side:
-    """What a detector's directions say.
+    """What a detector's directions say."""
 
-    Attributes:
-        ahead: (A,) probability of each direction of the more probable half.
-        probability: Of that half.
-        place: (3,) about where the vehicle is, metres.
-        heading: `rotation_y` by that half.
-    """
-
-    ahead: Array
-    probability: float
-    place: Array
-    heading: float
+    ahead: Array  # (A,) probability of each direction of the more probable half
+    probability: float  # of that half
+    place: Array  # (3,) about where the vehicle is, metres
+    heading: float  # `rotation_y` by that half
 
     @classmethod
     def of(cls, seen: Observation, camera: Camera, prior: ShapePrior) -> _Side | None:

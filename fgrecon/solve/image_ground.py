@@ -30,21 +30,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ImageGround:
-    """The vehicles of an image on its ground.
+    """The vehicles of an image on its ground."""
 
-    Attributes:
-        key: Of the ground's variable.
-        nominal: About where the ground is.
-        frame: Axes in which the variable changes it.
-        contacts: The factor between ground and pose of each vehicle, by its number.
-        spread: (3,) standard deviations of height, pitch and roll before the vehicles say more.
-    """
-
-    key: int
-    nominal: Ground
-    frame: GroundFrame
-    contacts: Mapping[int, gtsam.CustomFactor]
-    spread: Array
+    key: int  # of the ground's variable
+    nominal: Ground  # about where the ground is
+    frame: GroundFrame  # axes in which the variable changes it
+    contacts: Mapping[int, gtsam.CustomFactor]  # the factor between ground and pose of each vehicle, by its number
+    spread: Array  # (3,) standard deviations of height, pitch and roll before the vehicles say more
 
     @classmethod
     def of(cls, image: int, poses: Mapping[int, Array], nominal: Ground, *, given: bool = True) -> ImageGround:

@@ -39,21 +39,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class IndependentVehicle:
-    """A vehicle that was solved by itself.
+    """A vehicle that was solved by itself."""
 
-    Attributes:
-        problem: What was solved.
-        start: The proposals.
-        adjusted: Where the graph's optimisation ended.
-        box: What a detector's box says of it, or None.
-        belief: Which way it faces by that box and all else; None without a box.
-    """
-
-    problem: Problem
-    start: PoseEstimate
-    adjusted: MultiStartResult
-    box: KnownBox | None = None
-    belief: Belief | None = None
+    problem: Problem  # what was solved
+    start: PoseEstimate  # the proposals
+    adjusted: MultiStartResult  # where the graph's optimisation ended
+    box: KnownBox | None = None  # what a detector's box says of it, or None
+    belief: Belief | None = None  # which way it faces by that box and all else; None without a box
 
     @property
     def pose(self) -> Array:

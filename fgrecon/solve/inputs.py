@@ -46,23 +46,14 @@ _ROUNDING = 1e-9  # share of the largest number of a covariance that is rounding
 
 @dataclass(frozen=True)
 class SolveSetup:
-    """What holds for all vehicles of a call.
+    """What holds for all vehicles of a call."""
 
-    Attributes:
-        options: Settings.
-        prior: The shape prior as it is given.
-        model: The prior prepared for the vehicles' sizes.
-        ground: Ground plane, or None.
-        fleet: Sizes that are given for all vehicles, or None.
-        evidence: What other sensors say of all vehicles.
-    """
-
-    options: Options
-    prior: ShapePrior
-    model: VehicleModel
-    ground: Ground | None = None
-    fleet: SizePrior | None = None
-    evidence: tuple[Evidence, ...] = ()
+    options: Options  # settings
+    prior: ShapePrior  # the shape prior as it is given
+    model: VehicleModel  # the prior prepared for the vehicles' sizes
+    ground: Ground | None = None  # ground plane, or None
+    fleet: SizePrior | None = None  # sizes that are given for all vehicles, or None
+    evidence: tuple[Evidence, ...] = ()  # what other sensors say of all vehicles
 
     @classmethod
     def of(

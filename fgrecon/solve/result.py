@@ -55,16 +55,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Marginalised:
-    """What is known at the end of an optimisation.
+    """What is known at the end of an optimisation."""
 
-    Attributes:
-        values: All variables.
-        weights: Those with which each observation counts for covariances.
-        marginals: Of the variables, sizes counted once; None where a direction is not determined, or there is no end.
-    """
-
-    values: gtsam.Values
-    weights: Sequence[Weights]
+    values: gtsam.Values  # all variables
+    weights: Sequence[Weights]  # those with which each observation counts for covariances
+    # of the variables, sizes counted once; None where a direction is not determined, or there is no end
     marginals: gtsam.Marginals | Spread | None
 
 
@@ -194,23 +189,15 @@ def pose_history(
 
 @dataclass(frozen=True)
 class _End:
-    """Where an observation has ended.
+    """Where an observation has ended."""
 
-    Attributes:
-        part: The observation in its graph.
-        optimum: The end of the graph.
-        index: Of the observation.
-        alternatives: Its other poses.
-        given_facing: How probable its facing is where more than its directions says; None where only they do.
-        uncertainty: Its covariances; None where they cannot be had.
-    """
-
-    part: ObservationPart
-    optimum: Optimum
-    index: int
-    alternatives: tuple[Alternative, ...]
+    part: ObservationPart  # the observation in its graph
+    optimum: Optimum  # the end of the graph
+    index: int  # of the observation
+    alternatives: tuple[Alternative, ...]  # its other poses
+    # how probable its facing is where more than its directions says; None where only they do
     given_facing: float | None
-    uncertainty: Covariances | None
+    uncertainty: Covariances | None  # its covariances; None where they cannot be had
 
     @property
     def pose(self) -> Array:

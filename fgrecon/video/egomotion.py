@@ -241,21 +241,13 @@ class _End:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Whitened derivatives of P points.
+    """Whitened derivatives of P points."""
 
-    Attributes:
-        pose: (6, 2, P) of the reprojections by the motion.
-        ground: (3, P) of the inverse depths by the ground.
-        depth: (3, P) of both by the point's inverse depth.
-        missing: (3, P) what is missing.
-        weight: (P,) of the reprojections.
-    """
-
-    pose: Array
-    ground: Array
-    depth: Array
-    missing: Array
-    weight: Array
+    pose: Array  # (6, 2, P) of the reprojections by the motion
+    ground: Array  # (3, P) of the inverse depths by the ground
+    depth: Array  # (3, P) of both by the point's inverse depth
+    missing: Array  # (3, P) what is missing
+    weight: Array  # (P,) of the reprojections
 
     @cached_property
     def _crossed(self) -> Array:
@@ -286,27 +278,16 @@ class _Rows:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Points as rays, and which may be the road's.
+    """Points as rays, and which may be the road's."""
 
-    Attributes:
-        before: (P, 3) rays with z = 1.
-        after: (P, 2) the next image's, x / z and y / z.
-        road: (P,) whether a point may be the road's.
-        depth: (P,) inverse depth on the road, or the mean of others.
-        spread: (P,) its standard deviation.
-        slopes: (P, 3) derivative of the road's inverse depth by the ground's two slopes and relative height.
-        prior: (3,) inverse variances of these.
-        sigma: Of a point, in the unit of rays.
-    """
-
-    before: Array
-    after: Array
-    road: NDArray[np.bool_]
-    depth: Array
-    spread: Array
-    slopes: Array
-    prior: Array
-    sigma: float
+    before: Array  # (P, 3) rays with z = 1
+    after: Array  # (P, 2) the next image's, x / z and y / z
+    road: NDArray[np.bool_]  # (P,) whether a point may be the road's
+    depth: Array  # (P,) inverse depth on the road, or the mean of others
+    spread: Array  # (P,) its standard deviation
+    slopes: Array  # (P, 3) derivative of the road's inverse depth by the ground's two slopes and relative height
+    prior: Array  # (3,) inverse variances of these
+    sigma: float  # of a point, in the unit of rays
 
     @classmethod
     def of(cls, before: Array, after: Array, camera: Camera, ground: Ground) -> _Problem:

@@ -17,19 +17,12 @@ from fgrecon.video.records import FrameRecord
 
 @dataclass(frozen=True)
 class FocalSettings:
-    """Which frames and vehicles a focal length is estimated from. Set by hand; not tuned.
+    """Which frames and vehicles a focal length is estimated from. Set by hand; not tuned."""
 
-    Attributes:
-        frame_gap_seconds: Between the frames: nearer ones say the same.
-        max_images: With vehicles, which are enough.
-        max_frames: That are searched for them.
-        max_vehicles: Of a frame, the largest.
-    """
-
-    frame_gap_seconds: float = 1.0
-    max_images: int = 8
-    max_frames: int = 40
-    max_vehicles: int = 4
+    frame_gap_seconds: float = 1.0  # between the frames: nearer ones say the same
+    max_images: int = 8  # with vehicles, which are enough
+    max_frames: int = 40  # that are searched for them
+    max_vehicles: int = 4  # of a frame, the largest
 
 
 SETTINGS = FocalSettings()

@@ -31,25 +31,15 @@ _SHARED = (Camera, ShapePrior, Surface)
 
 @dataclass
 class FrameHead:
-    """What memory holds of a frame.
+    """What memory holds of a frame."""
 
-    Attributes:
-        number: Of the frame, within its source.
-        time: Seconds.
-        name: Of the frame.
-        problem: Why it could not be read, or None.
-        place: (3,) of the camera in the world; None where it is not known.
-        identities: The vehicles that were detected in it.
-        found: How the estimate of each ended, by id.
-    """
-
-    number: int
-    time: float
-    name: str
-    problem: str | None
-    place: NDArray[np.float64] | None
-    identities: tuple[int, ...]
-    found: dict[int, Status] = field(default_factory=dict)
+    number: int  # of the frame, within its source
+    time: float  # seconds
+    name: str  # of the frame
+    problem: str | None  # why it could not be read, or None
+    place: NDArray[np.float64] | None  # (3,) of the camera in the world; None where it is not known
+    identities: tuple[int, ...]  # the vehicles that were detected in it
+    found: dict[int, Status] = field(default_factory=dict)  # how the estimate of each ended, by id
 
 
 class FrameStore(Sequence[TrackedFrame]):

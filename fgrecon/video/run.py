@@ -190,19 +190,12 @@ def run_video(
 
 @dataclass(frozen=True)
 class _Looked:
-    """A frame on its way through the stages.
-
-    Attributes:
-        frame: The frame.
-        record: What it shows; None of a frame that is read for the motion of the next one alone.
-        seen: Whether the record is new.
-        moved: Whether its motion is.
-    """
+    """A frame on its way through the stages."""
 
     frame: SourceFrame
-    record: FrameRecord | None
-    seen: bool = False
-    moved: bool = False
+    record: FrameRecord | None  # what it shows; None of a frame that is read for the motion of the next one alone
+    seen: bool = False  # whether the record is new
+    moved: bool = False  # whether its motion is
 
 
 class _Records:

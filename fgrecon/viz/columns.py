@@ -16,16 +16,11 @@ FIELDS = "fields"
 
 @dataclass(frozen=True)
 class Outbox:
-    """Chunks on their way into a stream, to which they go all at once: sent one by one, each wakes rerun's threads.
+    """Chunks on their way into a stream, to which they go all at once: sent one by one, each wakes rerun's threads."""
 
-    Attributes:
-        name: Name of the recording.
-        chunks: What was sent so far.
-        place: Where an entity goes: what is sent for one of several vehicles has a branch of its own.
-    """
-
-    name: str
-    chunks: list[Any] = field(default_factory=list)
+    name: str  # name of the recording
+    chunks: list[Any] = field(default_factory=list)  # what was sent so far
+    # where an entity goes: what is sent for one of several vehicles has a branch of its own
     place: Callable[[str], str] = str
 
     def branch(self, place: Callable[[str], str]) -> Outbox:

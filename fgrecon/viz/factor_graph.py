@@ -30,25 +30,15 @@ Place = tuple[float, float]
 
 @dataclass(frozen=True)
 class Layout:
-    """A graph as it is drawn: V variables, then F factors.
+    """A graph as it is drawn: V variables, then F factors."""
 
-    Attributes:
-        key: What is laid out.
-        nodes: V + F unique names.
-        labels: V + F texts.
-        positions: (V + F, 2) places, x to the right, y down.
-        colours: V + F colours.
-        variables: V.
-        edges: Pairs (factor, variable) of names.
-    """
-
-    key: tuple[GraphFactor, ...]
-    nodes: tuple[str, ...]
-    labels: tuple[str, ...]
-    positions: NDArray[np.float64]
-    colours: tuple[Colour, ...]
-    variables: int
-    edges: tuple[tuple[str, str], ...]
+    key: tuple[GraphFactor, ...]  # what is laid out
+    nodes: tuple[str, ...]  # V + F unique names
+    labels: tuple[str, ...]  # V + F texts
+    positions: NDArray[np.float64]  # (V + F, 2) places, x to the right, y down
+    colours: tuple[Colour, ...]  # V + F colours
+    variables: int  # V
+    edges: tuple[tuple[str, str], ...]  # pairs (factor, variable) of names
 
 
 def log_graph(rows: Rows) -> None:

@@ -79,15 +79,10 @@ def render_models(models: Sequence[PosedModel], camera: Camera, size: tuple[floa
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """How far away what covers each pixel is.
+    """How far away what covers each pixel is."""
 
-    Attributes:
-        depth: (h, w) metres; infinite where nothing is.
-        scale: Its pixels in a pixel of the image.
-    """
-
-    depth: NDArray[np.float32]
-    scale: float
+    depth: NDArray[np.float32]  # (h, w) metres; infinite where nothing is
+    scale: float  # its pixels in a pixel of the image
 
     def hides(self, pixels: NDArray[np.float64], depths: NDArray[np.float64]) -> NDArray[np.bool_]:
         """(...) whether something is before points at pixels (..., 2) and depths (...) in metres."""

@@ -23,22 +23,16 @@ RESULT = "result"
 
 @dataclass(frozen=True)
 class Playback:
-    """A vehicle in one image, on its way into a stream.
+    """A vehicle in one image, on its way into a stream."""
 
-    Attributes:
-        stream: Where it goes.
-        vehicle: The vehicle.
-        frame: Number of the image on the timeline `frame`.
-        numbers: (n,) numbers of the steps on the timeline `step`; None counts them from 0.
-        updates: (n,) numbers of their weight updates on the timeline `irls`; None counts them from 0.
-        logged: Entities of the stream that have what does not change; shared by all frames of a track.
-    """
-
-    stream: Outbox
+    stream: Outbox  # where it goes
     vehicle: SolvedVehicle
-    frame: int = 0
+    frame: int = 0  # number of the image on the timeline `frame`
+    # (n,) numbers of the steps on the timeline `step`; None counts them from 0
     numbers: NDArray[np.int64] | None = None
+    # (n,) numbers of their weight updates on the timeline `irls`; None counts them from 0
     updates: NDArray[np.int64] | None = None
+    # entities of the stream that have what does not change; shared by all frames of a track
     logged: set[str] = field(default_factory=set)
 
     @cached_property

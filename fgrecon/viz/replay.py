@@ -31,19 +31,12 @@ _FIX = "Give a .rrd file that this version of fgrecon wrote."
 
 @dataclass(frozen=True)
 class Series:
-    """One plotted entity.
+    """One plotted entity."""
 
-    Attributes:
-        names: M names of its series, as in the legend.
-        timeline: What `times` counts: `step`, or for numbers by frame of a track `frame`.
-        times: (n,) increasing.
-        values: (n, M) numbers; NaN where a series has none.
-    """
-
-    names: tuple[str, ...]
-    timeline: str
-    times: NDArray[np.int64]
-    values: NDArray[np.float64]
+    names: tuple[str, ...]  # M names of its series, as in the legend
+    timeline: str  # what `times` counts: `step`, or for numbers by frame of a track `frame`
+    times: NDArray[np.int64]  # (n,) increasing
+    values: NDArray[np.float64]  # (n, M) numbers; NaN where a series has none
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """(n,) values of the series of a name.
@@ -67,43 +60,28 @@ class LogLine:
 
 @dataclass(frozen=True)
 class StageSummary:
-    """One stage, of a track over all frames, of a scene over all vehicles.
+    """One stage, of a track over all frames, of a scene over all vehicles."""
 
-    Attributes:
-        stage: Its name.
-        weight_updates: How many weight updates it took, in all of them together.
-        steps: How many steps, likewise.
-        first_energy: Total energy at its first step, nats.
-        last_energy: Total energy at its last step.
-        terms: Energy by term at its last step.
-    """
-
-    stage: str
-    weight_updates: int
-    steps: int
-    first_energy: float
-    last_energy: float
-    terms: Mapping[str, float]
+    stage: str  # its name
+    weight_updates: int  # how many weight updates it took, in all of them together
+    steps: int  # how many steps, likewise
+    first_energy: float  # total energy at its first step, nats
+    last_energy: float  # total energy at its last step
+    terms: Mapping[str, float]  # energy by term at its last step
 
 
 @dataclass(frozen=True)
 class Replay:
-    """What a recording holds apart from what it draws.
+    """What a recording holds apart from what it draws."""
 
-    Attributes:
-        frames: Every step of the optimisation by number of the frame, equal to the recorded one to the last bit; a
-            single vehicle's only frame has number 0.
-        joint: Of a track every step of its joint optimisation, to the last bit too; else empty.
-        scalars: Plotted series by entity, such as `energy`, `weights`, `error/translation_m`.
-        log: The text log in order; its last line says how it ended and why.
-        vehicles: Of a scene the same of each vehicle, by its name in paths; the scene's own frames, scalars and log are
-            then empty.
-    """
-
+    # every step of the optimisation by number of the frame, equal to the recorded one to the last bit; a single
+    # vehicle's only frame has number 0
     frames: Mapping[int, tuple[Iteration, ...]]
-    joint: tuple[JointStep, ...]
-    scalars: Mapping[str, Series]
-    log: tuple[LogLine, ...]
+    joint: tuple[JointStep, ...]  # of a track every step of its joint optimisation, to the last bit too; else empty
+    scalars: Mapping[str, Series]  # plotted series by entity, such as `energy`, `weights`, `error/translation_m`
+    log: tuple[LogLine, ...]  # the text log in order; its last line says how it ended and why
+    # of a scene the same of each vehicle, by its name in paths; the scene's own frames, scalars and log are then
+    # empty
     vehicles: Mapping[str, Replay] = field(default_factory=dict)
 
     @property

@@ -24,30 +24,19 @@ _WIDE = 100.0  # metres from which on there is no room for a decimal
 
 @dataclass(frozen=True)
 class Row:
-    """What is written of a vehicle.
+    """What is written of a vehicle."""
 
-    Attributes:
-        name: On its plate.
-        cells: Its numbers, in columns.
-        details: Lines below, where there is room.
-    """
-
-    name: str
-    cells: tuple[str, ...]
-    details: tuple[str, ...] = ()
+    name: str  # on its plate
+    cells: tuple[str, ...]  # its numbers, in columns
+    details: tuple[str, ...] = ()  # lines below, where there is room
 
 
 @dataclass(frozen=True)
 class ScenePage:
-    """The table of a scene.
+    """The table of a scene."""
 
-    Attributes:
-        columns: Heading of each after the name, and its right edge relative to the panel.
-        rows: A row for each vehicle, the nearest first.
-    """
-
-    columns: tuple[tuple[str, float], ...]
-    rows: tuple[Row, ...]
+    columns: tuple[tuple[str, float], ...]  # heading of each after the name, and its right edge relative to the panel
+    rows: tuple[Row, ...]  # a row for each vehicle, the nearest first
 
     @property
     def lines(self) -> int:

@@ -101,19 +101,12 @@ class SolvedVehicle:
 
 @dataclass(frozen=True)
 class Member:
-    """A vehicle of a scene on its way into a recording.
+    """A vehicle of a scene on its way into a recording."""
 
-    Attributes:
-        number: Its place in the scene, which is its colour.
-        title: What it is called.
-        name: The same in paths.
-        vehicle: What is recorded.
-    """
-
-    number: int
-    title: str
-    name: str
-    vehicle: SolvedVehicle
+    number: int  # its place in the scene, which is its colour
+    title: str  # what it is called
+    name: str  # the same in paths
+    vehicle: SolvedVehicle  # what is recorded
 
     def place(self, entity: str) -> str:
         """Where the recording has one of its entities."""
@@ -186,20 +179,13 @@ _FEW = 6  # vehicles of a scene that are drawn and listed in full
 
 @dataclass(frozen=True)
 class DrawnScene:
-    """The vehicles of one image as a picture shows them.
-
-    Attributes:
-        vehicles: The vehicles.
-        camera: The camera that observed them.
-        size: Width and height of its image, pixels.
-        ground: The ground plane; without one the camera is taken for level.
-        starts: (4, 4) first estimates of poses, by id, where they are shown.
-    """
+    """The vehicles of one image as a picture shows them."""
 
     vehicles: Sequence[DrawnVehicle]
-    camera: Camera
-    size: tuple[float, float]
-    ground: Ground | None = None
+    camera: Camera  # the camera that observed them
+    size: tuple[float, float]  # width and height of its image, pixels
+    ground: Ground | None = None  # the ground plane; without one the camera is taken for level
+    # (4, 4) first estimates of poses, by id, where they are shown
     starts: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
     @property

@@ -21,16 +21,11 @@ _MISTAKEN = 3.0  # square points that it would rather cover than seem to name so
 
 @dataclass(eq=False)
 class Plates:
-    """The plates of one panel whose axes have their final limits.
+    """The plates of one panel whose axes have their final limits."""
 
-    Attributes:
-        axes: The panel.
-        size: Font size in points.
-        taken: (4,) rectangles x1, y1, x2, y2 in points that no plate is to cover.
-    """
-
-    axes: Any
-    size: float
+    axes: Any  # the panel
+    size: float  # font size in points
+    # (4,) rectangles x1, y1, x2, y2 in points that no plate is to cover
     taken: list[NDArray[np.float64]] = field(default_factory=list)
 
     def keep_free(self, points: NDArray[np.float64]) -> None:

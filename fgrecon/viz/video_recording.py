@@ -34,29 +34,20 @@ _BAND = 0.75  # width of the lines of a band; the value between them has 2
 
 @dataclass(frozen=True, eq=False)
 class RecordedFrame:
-    """One frame as it is recorded.
+    """One frame as it is recorded."""
 
-    Attributes:
-        number: Of the frame.
-        time: Seconds.
-        image: (H, W, 3) RGB bytes, or None.
-        vehicles: What it shows.
-        world_T_camera: (4, 4) pose of the camera; None takes the camera's frame for the world.
-        problem: Why it could not be read, or None.
-        values: What is plotted of each vehicle, by its id: name and numbers, such as a value and its band.
-        states: What becomes of each vehicle, by its id: a word or two; None for one that is no longer observed.
-        window: Factors of the window of one of them; empty leaves the graph as it was.
-    """
-
-    number: int
-    time: float
-    image: NDArray[np.uint8] | None
-    vehicles: tuple[DrawnVehicle, ...] = ()
+    number: int  # of the frame
+    time: float  # seconds
+    image: NDArray[np.uint8] | None  # (H, W, 3) RGB bytes, or None
+    vehicles: tuple[DrawnVehicle, ...] = ()  # what it shows
+    # (4, 4) pose of the camera; None takes the camera's frame for the world
     world_T_camera: NDArray[np.float64] | None = None
-    problem: str | None = None
+    problem: str | None = None  # why it could not be read, or None
+    # what is plotted of each vehicle, by its id: name and numbers, such as a value and its band
     values: Mapping[int, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
+    # what becomes of each vehicle, by its id: a word or two; None for one that is no longer observed
     states: Mapping[int, str | None] = field(default_factory=dict)
-    window: tuple[GraphFactor, ...] = ()
+    window: tuple[GraphFactor, ...] = ()  # factors of the window of one of them; empty leaves the graph as it was
 
 
 class LiveRecording:

@@ -18,42 +18,28 @@ from fgrecon.io.kitti_calibration import read_calibration
 
 @dataclass(frozen=True)
 class PartOfImage:
-    """A part of an image.
+    """A part of an image."""
 
-    Attributes:
-        left: Columns before it.
-        top: Rows above it.
-        whole: (width, height) of the whole image in pixels, or None.
-    """
-
-    left: float
-    top: float
-    whole: tuple[int, int] | None
+    left: float  # columns before it
+    top: float  # rows above it
+    whole: tuple[int, int] | None  # (width, height) of the whole image in pixels, or None
 
 
 @dataclass(frozen=True)
 class CameraSource:
-    """What is given about a camera; every part may be None.
+    """What is given about a camera; every part may be None."""
 
-    Attributes:
-        calib: KITTI calibration file, or a folder with one for each image, of its name.
-        intrinsics: fx, fy, cx, cy in pixels.
-        distortion: OpenCV's 4, 5, 8, 12 or 14 coefficients.
-        file: Calibration file of any format, as `fgrecon.io.cameras.read_camera` takes it.
-        crop: Part of another image that the photograph is; the camera is given for the whole image.
-        image: (H, W, 3) photograph, whose size counts.
-        exif: The camera that the photograph's file has (`fgrecon.io.exif`), where nothing else is given.
-        scale_to_image: Whether keypoints and boxes of a file that states another size of the image, of the same shape,
-            are scaled to the camera's or the photograph's.
-    """
-
-    calib: Path | None = None
-    intrinsics: Sequence[float] | None = None
-    distortion: Sequence[float] | None = None
-    file: str | None = None
+    calib: Path | None = None  # KITTI calibration file, or a folder with one for each image, of its name
+    intrinsics: Sequence[float] | None = None  # fx, fy, cx, cy in pixels
+    distortion: Sequence[float] | None = None  # OpenCV's 4, 5, 8, 12 or 14 coefficients
+    file: str | None = None  # calibration file of any format, as `fgrecon.io.cameras.read_camera` takes it
+    # part of another image that the photograph is; the camera is given for the whole image
     crop: PartOfImage | None = None
-    image: NDArray[np.uint8] | None = None
+    image: NDArray[np.uint8] | None = None  # (H, W, 3) photograph, whose size counts
+    # the camera that the photograph's file has (`fgrecon.io.exif`), where nothing else is given
     exif: Camera | None = None
+    # whether keypoints and boxes of a file that states another size of the image, of the same shape, are scaled
+    # to the camera's or the photograph's
     scale_to_image: bool = False
 
     def __post_init__(self) -> None:

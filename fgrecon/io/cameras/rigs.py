@@ -18,19 +18,15 @@ from fgrecon.io.nuscenes import NuScenesTables, pose_of
 
 @dataclass(frozen=True, eq=False)
 class MountedCamera:
-    """A camera, and what its file says beside it.
-
-    Attributes:
-        camera: The camera.
-        label_offset: (3,) t in metres: KITTI's label frame lies so from the camera's (a labelled point is at X + t);
-            None where the file is none of KITTI's.
-        ground: The ground in the camera's frame, where the file says how high and in which direction it is mounted.
-        world_T_camera: (4, 4) pose of the camera in the world when it took the image, or None.
-    """
+    """A camera, and what its file says beside it."""
 
     camera: Camera
+    # (3,) t in metres: KITTI's label frame lies so from the camera's (a labelled point is at X + t); None where
+    # the file is none of KITTI's
     label_offset: NDArray[np.float64] | None = None
+    # the ground in the camera's frame, where the file says how high and in which direction it is mounted
     ground: Ground | None = None
+    # (4, 4) pose of the camera in the world when it took the image, or None
     world_T_camera: NDArray[np.float64] | None = None
 
 

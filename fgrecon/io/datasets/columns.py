@@ -18,15 +18,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Columns:
-    """A table.
+    """A table."""
 
-    Attributes:
-        table: The table (pyarrow's).
-        where: What errors begin with.
-    """
-
-    table: Any
-    where: str
+    table: Any  # the table (pyarrow's)
+    where: str  # what errors begin with
 
     def __len__(self) -> int:
         """How many rows it has."""

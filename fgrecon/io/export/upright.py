@@ -29,15 +29,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FrameTransform:
-    """Where a frame is.
+    """Where a frame is."""
 
-    Attributes:
-        child: Name of the frame; its parent is `map`.
-        map_T_child: (4, 4) its pose.
-    """
-
-    child: str
-    map_T_child: Array
+    child: str  # name of the frame; its parent is `map`
+    map_T_child: Array  # (4, 4) its pose
 
 
 def map_T_camera(ground: Ground | None) -> Array:

@@ -25,15 +25,11 @@ _FIX = "Give a scheme ({}), pairs theirs=ours, or a file (JSON, TOML) with such 
 
 @dataclass(frozen=True)
 class Names:
-    """What is known of another program's names.
+    """What is known of another program's names."""
 
-    Attributes:
-        order: Names in the order of the points, None for a point without a name; None where the order is not known.
-        groups: For each keypoint of ours the points whose centre it is.
-    """
-
+    # names in the order of the points, None for a point without a name; None where the order is not known
     order: tuple[str | None, ...] | None
-    groups: Mapping[str, tuple[str, ...]]
+    groups: Mapping[str, tuple[str, ...]]  # for each keypoint of ours the points whose centre it is
 
 
 NamesLike = Names | str | Path | Mapping[str, str] | Sequence[str | None]

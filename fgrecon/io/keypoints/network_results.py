@@ -40,27 +40,16 @@ _FIX = (
 
 @dataclass(frozen=True)
 class _Found:
-    """What a network has found in an image.
+    """What a network has found in an image."""
 
-    Attributes:
-        field: Name of the pixels.
-        points: (N, P, 2) pixels.
-        confidence: (N, P), or None.
-        boxes: (N, 4) corners, or None.
-        scores: (N,), or None.
-        tracks: (N,), or None.
-        kinds: N names of classes, or None.
-        shared: What every instance has.
-    """
-
-    field: str
-    points: Array
-    confidence: Array | None = None
-    boxes: Array | None = None
-    scores: Array | None = None
-    tracks: Array | None = None
-    kinds: Sequence[str] | None = None
-    shared: Mapping[str, Any] | None = None
+    field: str  # name of the pixels
+    points: Array  # (N, P, 2) pixels
+    confidence: Array | None = None  # (N, P), or None
+    boxes: Array | None = None  # (N, 4) corners, or None
+    scores: Array | None = None  # (N,), or None
+    tracks: Array | None = None  # (N,), or None
+    kinds: Sequence[str] | None = None  # N names of classes, or None
+    shared: Mapping[str, Any] | None = None  # what every instance has
 
 
 def is_network_result(given: Any) -> bool:

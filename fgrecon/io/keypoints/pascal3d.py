@@ -19,15 +19,10 @@ _VISIBLE = 1
 
 @dataclass(frozen=True, eq=False)
 class AnchoredObject:
-    """One object of a file.
+    """One object of a file."""
 
-    Attributes:
-        anchors: Its anchors as MATLAB has them, by name.
-        box: (4,) x1, y1, x2, y2 in 0-based pixels, or None.
-    """
-
-    anchors: Mapping[str, Any]
-    box: NDArray[np.float64] | None
+    anchors: Mapping[str, Any]  # its anchors as MATLAB has them, by name
+    box: NDArray[np.float64] | None  # (4,) x1, y1, x2, y2 in 0-based pixels, or None
 
     def visible(self, where: str) -> dict[str, list[float]]:
         """0-based pixels of the visible anchors, by name.

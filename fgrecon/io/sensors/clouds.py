@@ -49,14 +49,9 @@ class PointFrame(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """The points of a file.
+    """The points of a file."""
 
-    Attributes:
-        points: (N, 3) metres, all finite, at least one.
-        frame: Theirs.
-    """
-
-    points: Array
+    points: Array  # (N, 3) metres, all finite, at least one
     frame: PointFrame
 
 

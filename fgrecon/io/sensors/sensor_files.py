@@ -13,17 +13,11 @@ from fgrecon.io.frame_names import of_one_image
 
 @dataclass(frozen=True)
 class SensorFiles:
-    """The files of a sensor.
+    """The files of a sensor."""
 
-    Attributes:
-        field: What an error calls them.
-        given: A file, a folder, or a pattern such as `lidar/*.npz`.
-        endings: Of the files that count, in small letters.
-    """
-
-    field: str
-    given: str
-    endings: tuple[str, ...]
+    field: str  # what an error calls them
+    given: str  # a file, a folder, or a pattern such as `lidar/*.npz`
+    endings: tuple[str, ...]  # of the files that count, in small letters
 
     @cached_property
     def _files(self) -> dict[str, Path]:

@@ -18,17 +18,11 @@ FILL = 127
 
 @dataclass(frozen=True)
 class Crop:
-    """A square of an image, resampled to S x S pixels.
+    """A square of an image, resampled to S x S pixels."""
 
-    Attributes:
-        centre: (2,) its centre in the image, pixels.
-        side: Its side in the image, pixels.
-        size: S.
-    """
-
-    centre: NDArray[np.float64]
-    side: float
-    size: int
+    centre: NDArray[np.float64]  # (2,) its centre in the image, pixels
+    side: float  # its side in the image, pixels
+    size: int  # S
 
     __repr__ = brief_repr
 

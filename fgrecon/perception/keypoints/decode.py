@@ -18,17 +18,11 @@ _TINY = 1e-6
 
 @dataclass(frozen=True)
 class Decoded:
-    """What the maps of B crops say about K keypoints.
+    """What the maps of B crops say about K keypoints."""
 
-    Attributes:
-        points: (B, K, 2) positions in pixels of the crop, to sub-pixel.
-        covariance: (B, K, 2, 2) of the likelihood around the peak, square pixels of the crop.
-        mass: (B, K) share of the likelihood within `reach` of the position: how sure the map is.
-    """
-
-    points: Array
-    covariance: Array
-    mass: Array
+    points: Array  # (B, K, 2) positions in pixels of the crop, to sub-pixel
+    covariance: Array  # (B, K, 2, 2) of the likelihood around the peak, square pixels of the crop
+    mass: Array  # (B, K) share of the likelihood within `reach` of the position: how sure the map is
 
 
 @dataclass(frozen=True)
@@ -37,31 +31,21 @@ class ConfidenceCalibration:
 
     confidence = sigmoid(bias + visible * v + mass * m + product * v m'), with v the visibility's logit, m the log odds
     of the map's mass near the position, both limited to [-6, 6], and m' = m / 6.
-
-    Attributes:
-        bias: Constant.
-        visible: Factor of v.
-        mass: Factor of m.
-        product: Factor of v m'.
-        scale: Factor of the likelihood's standard deviations.
-        floor: Standard deviation per axis that is added in quadrature, as a fraction of the box's longer side: what
-            a likelihood cannot know, such as how annotators see a keypoint.
-        sharpness: Power to which the directions' probabilities are raised: below 1 where the network is too sure.
-        doubt: Probability that its direction means nothing.
-        kind_sharpness: The same of the kinds of vehicles.
-        kind_doubt: Likewise.
     """
 
-    bias: float = 0.0
-    visible: float = 1.0
-    mass: float = 0.5
-    product: float = 0.0
-    scale: float = 1.0
+    bias: float = 0.0  # constant
+    visible: float = 1.0  # factor of v
+    mass: float = 0.5  # factor of m
+    product: float = 0.0  # factor of v m'
+    scale: float = 1.0  # factor of the likelihood's standard deviations
+    # standard deviation per axis that is added in quadrature, as a fraction of the box's longer side: what a
+    # likelihood cannot know, such as how annotators see a keypoint
     floor: float = 0.0
+    # power to which the directions' probabilities are raised: below 1 where the network is too sure
     sharpness: float = 1.0
-    doubt: float = 0.0
-    kind_sharpness: float = 1.0
-    kind_doubt: float = 0.0
+    doubt: float = 0.0  # probability that its direction means nothing
+    kind_sharpness: float = 1.0  # the same of the kinds of vehicles
+    kind_doubt: float = 0.0  # likewise
 
     def confidence(self, visible: Array, mass: Array) -> Array:
         """(B, K) confidences in (0, 1) from visibility logits and masses (B, K)."""

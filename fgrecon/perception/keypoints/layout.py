@@ -45,19 +45,12 @@ Shapes = dict[str, tuple[int, ...]]
 
 @dataclass(frozen=True)
 class KNetSettings:
-    """Sizes of the network.
+    """Sizes of the network."""
 
-    Attributes:
-        keypoints: Number K of keypoints.
-        crop: Side S of the square crop in pixels, a multiple of 32.
-        width: Channels of the pyramid.
-        kinds: Number of kinds of vehicles that it tells apart, the first of `KINDS`; 0 where it does not.
-    """
-
-    keypoints: int = 14
-    crop: int = 96
-    width: int = 64
-    kinds: int = 0
+    keypoints: int = 14  # number K of keypoints
+    crop: int = 96  # side S of the square crop in pixels, a multiple of 32
+    width: int = 64  # channels of the pyramid
+    kinds: int = 0  # number of kinds of vehicles that it tells apart, the first of `KINDS`; 0 where it does not
 
     def to_dict(self) -> dict[str, int]:
         """Plain numbers for a file, which has none for what the network lacks."""
@@ -66,17 +59,11 @@ class KNetSettings:
 
 @dataclass(frozen=True)
 class RefineSettings:
-    """Sizes of the networks.
+    """Sizes of the networks."""
 
-    Attributes:
-        keypoints: Number K of keypoints, each with a network of its own.
-        crop: Side of the crop that patches are cut from, pixels.
-        width: Channels of each network.
-    """
-
-    keypoints: int = 14
-    crop: int = 176
-    width: int = 16
+    keypoints: int = 14  # number K of keypoints, each with a network of its own
+    crop: int = 176  # side of the crop that patches are cut from, pixels
+    width: int = 16  # channels of each network
 
     def to_dict(self) -> dict[str, int]:
         """Plain numbers for a file."""
@@ -112,31 +99,18 @@ SETTINGS = CascadeSettings()
 
 @dataclass(frozen=True)
 class Layer:
-    """A convolution; with a batch normalisation and a ReLU after it, or neither.
+    """A convolution; with a batch normalisation and a ReLU after it, or neither."""
 
-    Attributes:
-        name: Of its part of the network.
-        inputs: Channels.
-        outputs: Channels.
-        kernel: Its side.
-        stride: Pixels from one output to the next.
-        groups: Of channels that do not mix.
-        dilation: Pixels from one number of the kernel to the next.
-        padding: Zeros before and after the input, along both axes.
-        active: Whether a ReLU follows the normalisation.
-        epsilon: Of the batch normalisation; None where there is none and the convolution has a bias.
-    """
-
-    name: str
-    inputs: int
-    outputs: int
-    kernel: int = 1
-    stride: int = 1
-    groups: int = 1
-    dilation: int = 1
-    padding: tuple[int, int] = (0, 0)
-    active: bool = True
-    epsilon: float | None = None
+    name: str  # of its part of the network
+    inputs: int  # channels
+    outputs: int  # channels
+    kernel: int = 1  # its side
+    stride: int = 1  # pixels from one output to the next
+    groups: int = 1  # of channels that do not mix
+    dilation: int = 1  # pixels from one number of the kernel to the next
+    padding: tuple[int, int] = (0, 0)  # zeros before and after the input, along both axes
+    active: bool = True  # whether a ReLU follows the normalisation
+    epsilon: float | None = None  # of the batch normalisation; None where there is none and the convolution has a bias
 
     @property
     def shapes(self) -> Shapes:
@@ -150,40 +124,24 @@ class Layer:
 
 @dataclass(frozen=True)
 class Block:
-    """Layers one after the other.
+    """Layers one after the other."""
 
-    Attributes:
-        layers: In order.
-        residual: Whether the input is added to what comes out.
-    """
-
-    layers: tuple[Layer, ...]
-    residual: bool
+    layers: tuple[Layer, ...]  # in order
+    residual: bool  # whether the input is added to what comes out
 
 
 @dataclass(frozen=True)
 class KNetLayout:
-    """The layers of KNet.
+    """The layers of KNet."""
 
-    Attributes:
-        settings: Its sizes.
-        stem: The first.
-        stages: Those of the encoder, in blocks.
-        lateral: From each level of the pyramid's stages to its width.
-        smooth: What follows at each level.
-        last: What follows at the finest.
-        head: To the maps.
-        others: Shapes of the arrays that are no convolution's.
-    """
-
-    settings: KNetSettings
-    stem: Layer
-    stages: tuple[tuple[Block, ...], ...]
-    lateral: tuple[Layer, ...]
-    smooth: tuple[Block, ...]
-    last: Block
-    head: Layer
-    others: Shapes
+    settings: KNetSettings  # its sizes
+    stem: Layer  # the first
+    stages: tuple[tuple[Block, ...], ...]  # those of the encoder, in blocks
+    lateral: tuple[Layer, ...]  # from each level of the pyramid's stages to its width
+    smooth: tuple[Block, ...]  # what follows at each level
+    last: Block  # what follows at the finest
+    head: Layer  # to the maps
+    others: Shapes  # shapes of the arrays that are no convolution's
 
     @classmethod
     def of(cls, settings: KNetSettings) -> KNetLayout:
@@ -236,15 +194,10 @@ class KNetLayout:
 
 @dataclass(frozen=True)
 class RefineLayout:
-    """The layers of the refinement networks, which lie side by side in groups.
+    """The layers of the refinement networks, which lie side by side in groups."""
 
-    Attributes:
-        layers: In order.
-        head: To the maps.
-    """
-
-    layers: tuple[Layer, ...]
-    head: Layer
+    layers: tuple[Layer, ...]  # in order
+    head: Layer  # to the maps
 
     @classmethod
     def of(cls, settings: RefineSettings) -> RefineLayout:

@@ -32,27 +32,16 @@ _OTHER = "Give a network of this version."
 
 @dataclass(frozen=True)
 class Stored:
-    """A network as it is kept.
+    """A network as it is kept."""
 
-    Attributes:
-        state: Arrays by name, or tensors.
-        settings: Sizes of the network.
-        calibration: From its outputs to confidences.
-        provenance: Learnt from what (plain strings).
-        refinement: The same of the refinement networks, or None without them.
-        refine_settings: Their sizes, or None.
-        trust: How much their likelihoods count beside KNet's.
-        category: Name of the category whose keypoints it finds.
-    """
-
-    state: Mapping[str, Any]
-    settings: Mapping[str, int]
-    calibration: ConfidenceCalibration
-    provenance: Mapping[str, str]
-    refinement: Mapping[str, Any] | None = None
-    refine_settings: Mapping[str, int] | None = None
-    trust: float = 0.5
-    category: str = _CATEGORY
+    state: Mapping[str, Any]  # arrays by name, or tensors
+    settings: Mapping[str, int]  # sizes of the network
+    calibration: ConfidenceCalibration  # from its outputs to confidences
+    provenance: Mapping[str, str]  # learnt from what (plain strings)
+    refinement: Mapping[str, Any] | None = None  # the same of the refinement networks, or None without them
+    refine_settings: Mapping[str, int] | None = None  # their sizes, or None
+    trust: float = 0.5  # how much their likelihoods count beside KNet's
+    category: str = _CATEGORY  # name of the category whose keypoints it finds
 
 
 def shipped(name: str | None = None) -> Path:

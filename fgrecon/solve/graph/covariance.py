@@ -24,32 +24,21 @@ _COMPILED = 160
 
 @dataclass(frozen=True)
 class Covariances:
-    """Covariances of the result.
+    """Covariances of the result."""
 
-    Attributes:
-        pose: (6, 6), GTSAM's local coordinates: rotation in radians, translation in metres, in the object's own frame.
-        coefficients: (N, N).
-        keypoints: (K, 3, 3) of each 3D keypoint in the object frame, square metres.
-        size: (3, 3) of the box's length, width and height, square metres.
-    """
-
+    # (6, 6), GTSAM's local coordinates: rotation in radians, translation in metres, in the object's own frame
     pose: Array
-    coefficients: Array
-    keypoints: Array
-    size: Array
+    coefficients: Array  # (N, N)
+    keypoints: Array  # (K, 3, 3) of each 3D keypoint in the object frame, square metres
+    size: Array  # (3, 3) of the box's length, width and height, square metres
 
 
 @dataclass(frozen=True)
 class Spread:
-    """The covariance of some variables of a graph by one factorisation: of a small graph, or of many of its variables.
+    """The covariance of variables of a graph by one factorisation: of a small graph, or of many of its variables."""
 
-    Attributes:
-        places: Where it has each variable, by key.
-        covariance: (D, D).
-    """
-
-    places: dict[int, slice]
-    covariance: Array
+    places: dict[int, slice]  # where it has each variable, by key
+    covariance: Array  # (D, D)
 
     @classmethod
     def of(

@@ -46,17 +46,11 @@ class SolvedStage:
 
 @dataclass(frozen=True)
 class MultiStartResult:
-    """Where the graph's optimisation ended.
+    """Where the graph's optimisation ended."""
 
-    Attributes:
-        optimum: The end; iterations and gain are those of all stages from the proposals that led there.
-        stages: All stages, those from other proposals before among them.
-        alternatives: Other poses of each observation, best first.
-    """
-
-    optimum: Optimum
-    stages: tuple[SolvedStage, ...]
-    alternatives: tuple[tuple[Alternative, ...], ...]
+    optimum: Optimum  # the end; iterations and gain are those of all stages from the proposals that led there
+    stages: tuple[SolvedStage, ...]  # all stages, those from other proposals before among them
+    alternatives: tuple[tuple[Alternative, ...], ...]  # other poses of each observation, best first
 
     @property
     def graph(self) -> Graph:

@@ -40,19 +40,12 @@ NEWTON = SETTINGS.newton
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the loop.
+    """One step of the loop."""
 
-    Attributes:
-        update: Index of the weight update.
-        step: Index of the solver's iteration within it.
-        values: Where it ended.
-        weights: Weights that it was made under; Newton's method has those of where it ended.
-    """
-
-    update: int
-    step: int
-    values: gtsam.Values
-    weights: Sequence[Weights]
+    update: int  # index of the weight update
+    step: int  # index of the solver's iteration within it
+    values: gtsam.Values  # where it ended
+    weights: Sequence[Weights]  # weights that it was made under; Newton's method has those of where it ended
 
 
 class Descent:

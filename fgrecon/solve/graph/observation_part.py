@@ -36,40 +36,24 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Weights:
-    """What iteratively re-weighted least squares holds fixed of one observation during a solve.
+    """What iteratively re-weighted least squares holds fixed of one observation during a solve."""
 
-    Attributes:
-        keypoints: (K,) weights of the keypoints.
-        visibility: (K,) visibility that they were computed with.
-        box: (4,) weights of the box edges.
-        depth: Depth that the ground's uncertainty belongs to, metres.
-    """
-
-    keypoints: Array
-    visibility: Array
-    box: Array
-    depth: float
+    keypoints: Array  # (K,) weights of the keypoints
+    visibility: Array  # (K,) visibility that they were computed with
+    box: Array  # (4,) weights of the box edges
+    depth: float  # depth that the ground's uncertainty belongs to, metres
 
 
 @dataclass(frozen=True)
 class _Assessed:
-    """What the strategy makes of a state, kept since weights and energies are requested one after the other.
+    """What the strategy makes of a state, kept since weights and energies are requested one after the other."""
 
-    Attributes:
-        values: The state.
-        visibility: (K,) visibility it was assessed with.
-        looked_up: Whether that is the visibility of its pose.
-        keypoints: (K,) weights.
-        box: (4,) weights of the box's edges.
-        energies: Of keypoints and box, nats.
-    """
-
-    values: gtsam.Values
-    visibility: Array
-    looked_up: bool
-    keypoints: Array
-    box: Array
-    energies: tuple[float, float]
+    values: gtsam.Values  # the state
+    visibility: Array  # (K,) visibility it was assessed with
+    looked_up: bool  # whether that is the visibility of its pose
+    keypoints: Array  # (K,) weights
+    box: Array  # (4,) weights of the box's edges
+    energies: tuple[float, float]  # of keypoints and box, nats
 
     def answers(self, visibility: Array | None) -> bool:
         """Whether it was assessed with a visibility, or with None with that of its pose."""

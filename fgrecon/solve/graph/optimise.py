@@ -41,27 +41,16 @@ REWEIGHTING = SETTINGS.reweighting
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where the loop ended.
+    """Where the loop ended."""
 
-    Attributes:
-        state: Poses, shapes and weights.
-        values: The same, with planes.
-        energies: Energy by term over everything, nats.
-        steps: Every step, if asked for.
-        iterations: Number of the solver's iterations.
-        gain: Energy at the start minus that at the end, nats; NaN where the strategy defines none.
-        failure: Why the loop gave up, or None; the rest is then the state before.
-        unfinished: Where it was stopped short of a minimum, or None.
-    """
-
-    state: State
-    values: gtsam.Values
-    energies: dict[str, float]
-    steps: tuple[Step, ...]
-    iterations: int
-    gain: float
-    failure: str | None = None
-    unfinished: str | None = None
+    state: State  # poses, shapes and weights
+    values: gtsam.Values  # the same, with planes
+    energies: dict[str, float]  # energy by term over everything, nats
+    steps: tuple[Step, ...]  # every step, if asked for
+    iterations: int  # number of the solver's iterations
+    gain: float  # energy at the start minus that at the end, nats; NaN where the strategy defines none
+    failure: str | None = None  # why the loop gave up, or None; the rest is then the state before
+    unfinished: str | None = None  # where it was stopped short of a minimum, or None
 
     @property
     def energy(self) -> float:

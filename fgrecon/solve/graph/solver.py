@@ -14,23 +14,14 @@ from fgrecon.solve.graph.graph_settings import SETTINGS
 
 @dataclass(frozen=True)
 class Solution:
-    """What a minimisation ends with.
+    """What a minimisation ends with."""
 
-    Attributes:
-        values: Values at the minimum.
-        path: Values after every accepted iteration, if asked for.
-        error: The graph's error there.
-        iterations: Number of iterations.
-        converged: Whether the last iteration lowered the error by hardly anything.
-        damping: Of the step that would follow.
-    """
-
-    values: gtsam.Values
-    path: tuple[gtsam.Values, ...]
-    error: float
-    iterations: int
-    converged: bool
-    damping: float
+    values: gtsam.Values  # values at the minimum
+    path: tuple[gtsam.Values, ...]  # values after every accepted iteration, if asked for
+    error: float  # the graph's error there
+    iterations: int  # number of iterations
+    converged: bool  # whether the last iteration lowered the error by hardly anything
+    damping: float  # of the step that would follow
 
 
 def minimise(

@@ -54,17 +54,11 @@ _SAME = 1 - 1e-7  # cosine between quaternions that are one: rotations 1e-3 rad 
 
 @dataclass(frozen=True)
 class Minima:
-    """Local minima of F, best first, one of each pair +-q.
+    """Local minima of F, best first, one of each pair +-q."""
 
-    Attributes:
-        q: (B, 4) where they are.
-        value: (B,) F there; F(0) = 0, so all are negative.
-        complete: Whether all 40 roots were verified, that is, whether no minimum can be missing.
-    """
-
-    q: Array
-    value: Array
-    complete: bool
+    q: Array  # (B, 4) where they are
+    value: Array  # (B,) F there; F(0) = 0, so all are negative
+    complete: bool  # whether all 40 roots were verified, that is, whether no minimum can be missing
 
 
 def products(q: Array) -> Array:
@@ -269,32 +263,19 @@ class _Tables:
     """What does not depend on the problem: how monomials multiply, and the random rotations.
 
     Monomials are ordered as in `_monomials`: 4, 10, 20, 35, 120 and 165 of degree 1, 2, 3, 4, 7 and 8.
-
-    Attributes:
-        turns: Pairs of a rotation P (4, 4) and T (10, 10) with m(P q) = T m(q).
-        seeds: (48, 4) unit vectors.
-        jacobian: (4, 10, 4) with dm/dq_x = jacobian[x] q.
-        gather_cubics: (40, 20) from coefficients of m_k q_a to those of cubics.
-        gather_quartics: (80, 35) from coefficients of q_a times a cubic monomial to those of quartics.
-        differentiate: (20, 40) from a cubic to its four derivatives, each with ten coefficients.
-        quartic_factors: (35, 4) the components of q whose product is the monomial.
-        entries: Flat entries of the (125, 165) matrix of multiples that are filled.
-        sources: Flat entries of the minors (6, 35) that fill them.
-        shifts: (4, 120) where the monomials of degree 7, times q_i, stand among those of degree 8.
-        power_shifts: (4, 4) where q_k^7 q_i stands among those of degree 8.
     """
 
-    turns: tuple[tuple[Array, Array], ...]
-    seeds: Array
-    jacobian: Array
-    gather_cubics: Array
-    gather_quartics: Array
-    differentiate: Array
-    quartic_factors: Index
-    entries: Index
-    sources: Index
-    shifts: Index
-    power_shifts: Index
+    turns: tuple[tuple[Array, Array], ...]  # pairs of a rotation P (4, 4) and T (10, 10) with m(P q) = T m(q)
+    seeds: Array  # (48, 4) unit vectors
+    jacobian: Array  # (4, 10, 4) with dm/dq_x = jacobian[x] q
+    gather_cubics: Array  # (40, 20) from coefficients of m_k q_a to those of cubics
+    gather_quartics: Array  # (80, 35) from coefficients of q_a times a cubic monomial to those of quartics
+    differentiate: Array  # (20, 40) from a cubic to its four derivatives, each with ten coefficients
+    quartic_factors: Index  # (35, 4) the components of q whose product is the monomial
+    entries: Index  # flat entries of the (125, 165) matrix of multiples that are filled
+    sources: Index  # flat entries of the minors (6, 35) that fill them
+    shifts: Index  # (4, 120) where the monomials of degree 7, times q_i, stand among those of degree 8
+    power_shifts: Index  # (4, 4) where q_k^7 q_i stands among those of degree 8
 
 
 @cache

@@ -42,19 +42,12 @@ _THICKNESS = 1e-6  # spread across a line, relative to that along it, up to whic
 
 @dataclass(frozen=True, eq=False)
 class PnPSolution:
-    """A local minimum of the cost.
+    """A local minimum of the cost."""
 
-    Attributes:
-        camera_T_object: (4, 4) rigid transform from the object into the camera frame, in the unit of the points.
-        cost: The cost of the module's docstring, in squared normalised image units times the unit of the weights.
-        rms: sqrt(cost / sum of the weights), normalised image units; times the focal length it is pixels.
-        weight_in_front: Share of the weight, above 0.5 and up to 1, whose points lie in front of the camera.
-    """
-
-    camera_T_object: Array
-    cost: float
-    rms: float
-    weight_in_front: float
+    camera_T_object: Array  # (4, 4) rigid transform from the object into the camera frame, in the unit of the points
+    cost: float  # the cost of the module's docstring, in squared normalised image units times the unit of the weights
+    rms: float  # sqrt(cost / sum of the weights), normalised image units; times the focal length it is pixels
+    weight_in_front: float  # share of the weight, above 0.5 and up to 1, whose points lie in front of the camera
 
 
 def aspnp(

@@ -29,17 +29,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Algorithm1Result:
-    """What Algorithm 1 ends with.
+    """What Algorithm 1 ends with."""
 
-    Attributes:
-        poses: (T, 4, 4) camera_T_object after the first solve and after every update.
-        weights: (T, K) weights that each pose was solved with.
-        others: Other minima of the last global solve (the two-fold ambiguity).
-    """
-
-    poses: Array
-    weights: Array
-    others: tuple[Array, ...]
+    poses: Array  # (T, 4, 4) camera_T_object after the first solve and after every update
+    weights: Array  # (T, K) weights that each pose was solved with
+    others: tuple[Array, ...]  # other minima of the last global solve (the two-fold ambiguity)
 
 
 def algorithm1(problem: Problem, *, every_solve_global: bool = False) -> Algorithm1Result:

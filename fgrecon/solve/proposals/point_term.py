@@ -35,16 +35,11 @@ POINTS_NAME, DEPTH_NAME = "points", "depth"
 
 @dataclass(frozen=True)
 class PointTerm:
-    """Points on the vehicle's surface, or on anything else.
+    """Points on the vehicle's surface, or on anything else."""
 
-    Attributes:
-        rows: The points about the vehicle.
-        name: What measured them.
-        depth: The depth map that they are of, whose pixels share variables; None where they share nothing.
-    """
-
-    rows: PointRows
-    name: str = POINTS_NAME
+    rows: PointRows  # the points about the vehicle
+    name: str = POINTS_NAME  # what measured them
+    # the depth map that they are of, whose pixels share variables; None where they share nothing
     depth: ScaledDepth | None = None
 
     def add(self, total: Quadratic, h: Hypotheses) -> None:

@@ -31,27 +31,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PoseEstimate:
-    """Result of the pose stage.
+    """Result of the pose stage."""
 
-    Attributes:
-        camera_T_object: (4, 4) pose.
-        coefficients: (N,) coefficients that go with it (zero for the paper's algorithm, which has the mean shape).
-        weights: (K,) final weights.
-        visibility: (K,) visibility at the pose.
-        energy: Energy in nats.
-        alternatives: Distinct other poses, best first.
-        history: Every iteration.
-        everywhere: Whether it was searched all round, and may be again.
-    """
-
-    camera_T_object: Array
-    coefficients: Array
-    weights: Array
-    visibility: Array
-    energy: float
-    alternatives: tuple[Alternative, ...]
+    camera_T_object: Array  # (4, 4) pose
+    coefficients: Array  # (N,) coefficients that go with it (zero for the paper's algorithm, which has the mean shape)
+    weights: Array  # (K,) final weights
+    visibility: Array  # (K,) visibility at the pose
+    energy: float  # energy in nats
+    alternatives: tuple[Alternative, ...]  # distinct other poses, best first
     history: Sequence[Iteration]
-    everywhere: bool = False
+    everywhere: bool = False  # whether it was searched all round, and may be again
 
 
 def search_pose(problem: Problem, initial: Box3D | float | Array | None = None) -> PoseEstimate:

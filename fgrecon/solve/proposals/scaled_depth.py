@@ -25,19 +25,12 @@ _EXACT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ScaledDepth:
-    """A depth map whose scale and shift are about known.
-
-    Attributes:
-        given: The map.
-        calibration: About what its numbers are.
-        shared: What the variables are.
-        covariance: (2, 2) of the variables.
-    """
+    """A depth map whose scale and shift are about known."""
 
     given: DepthMap
-    calibration: DepthCalibration
-    shared: Shared
-    covariance: Array
+    calibration: DepthCalibration  # about what its numbers are
+    shared: Shared  # what the variables are
+    covariance: Array  # (2, 2) of the variables
 
     def metres(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
         """(M,) depths of pixels, metres; NaN where there is none."""

@@ -35,25 +35,15 @@ _Summand = PointTerm | BoxTerm | SizeTerm | GroundTerm | DirectionTerm | Coeffic
 
 @dataclass(frozen=True)
 class PoseEnergy:
-    """What the search minimises: the terms that apply, and how visible keypoints are from a pose.
+    """What the search minimises: the terms that apply, and how visible keypoints are from a pose."""
 
-    Attributes:
-        keypoints: Reprojection term.
-        visibility: Probability (H, K) of each keypoint to be visible from poses (H, 4, 4).
-        box: Box term, or None.
-        size: Size term, or None.
-        ground: Ground term, or None.
-        direction: Term of the direction that the vehicle is observed from, or None.
-        points: Terms of measured points.
-    """
-
-    keypoints: KeypointTerm
-    visibility: Callable[[Array], Array]
-    box: BoxTerm | None = None
-    size: SizeTerm | None = None
-    ground: GroundTerm | None = None
-    direction: DirectionTerm | None = None
-    points: tuple[PointTerm, ...] = ()
+    keypoints: KeypointTerm  # reprojection term
+    visibility: Callable[[Array], Array]  # probability (H, K) of each keypoint to be visible from poses (H, 4, 4)
+    box: BoxTerm | None = None  # box term, or None
+    size: SizeTerm | None = None  # size term, or None
+    ground: GroundTerm | None = None  # ground term, or None
+    direction: DirectionTerm | None = None  # term of the direction that the vehicle is observed from, or None
+    points: tuple[PointTerm, ...] = ()  # terms of measured points
 
     def __getstate__(self) -> dict[str, Any]:
         """What it is made of; another process compiles it again."""
@@ -148,21 +138,13 @@ def _compile(energy: PoseEnergy) -> Any:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What the search ends with.
+    """What the search ends with."""
 
-    Attributes:
-        hypotheses: The H surviving hypotheses, best first.
-        energy: (H,) their energies, nats.
-        weights: (H, K) weights of their keypoints.
-        path: The best one's states from its start on, as T hypotheses.
-        path_weights: (T, K) weights along the path.
-    """
-
-    hypotheses: Hypotheses
-    energy: Array
-    weights: Array
-    path: Hypotheses
-    path_weights: Array
+    hypotheses: Hypotheses  # the H surviving hypotheses, best first
+    energy: Array  # (H,) their energies, nats
+    weights: Array  # (H, K) weights of their keypoints
+    path: Hypotheses  # the best one's states from its start on, as T hypotheses
+    path_weights: Array  # (T, K) weights along the path
 
     @property
     def poses(self) -> Array:

@@ -106,22 +106,13 @@ class Quadratic:
 
 @dataclass(frozen=True)
 class KeypointTerm:
-    """Robust reprojection error of the keypoints (E_reproj of the paper with IRLS weights).
+    """Robust reprojection error of the keypoints (E_reproj of the paper with IRLS weights)."""
 
-    Attributes:
-        mean: (K, 3) mean keypoints.
-        basis: (N, K, 3) basis.
-        matrix: (3, 3) camera matrix.
-        rows: Measured pixels and whiteners.
-        evidence: Confidences.
-        strategy: Robust strategy.
-    """
-
-    mean: Array
-    basis: Array
-    matrix: Array
-    rows: KeypointRows
-    evidence: Evidence
+    mean: Array  # (K, 3) mean keypoints
+    basis: Array  # (N, K, 3) basis
+    matrix: Array  # (3, 3) camera matrix
+    rows: KeypointRows  # measured pixels and whiteners
+    evidence: Evidence  # confidences
     strategy: RobustStrategy
     name: ClassVar[str] = "reprojection"
 
@@ -148,18 +139,11 @@ class KeypointTerm:
 
 @dataclass(frozen=True)
 class BoxTerm:
-    """The edges of the 2D box against the extents of projected points, each edge with its own inlier weight.
+    """The edges of the 2D box against the extents of projected points, each edge with its own inlier weight."""
 
-    Attributes:
-        mean: (P, 3) points whose extents the box encloses.
-        basis: (N, P, 3) their basis.
-        matrix: (3, 3) camera matrix.
-        rows: The box.
-    """
-
-    mean: Array
-    basis: Array
-    matrix: Array
+    mean: Array  # (P, 3) points whose extents the box encloses
+    basis: Array  # (N, P, 3) their basis
+    matrix: Array  # (3, 3) camera matrix
     rows: BoxRows
     name: ClassVar[str] = "box"
 
@@ -259,12 +243,9 @@ class DirectionTerm:
     Keypoints of a car from ahead and of one from behind can look much alike: both poses are minima of the
     energy, and the wrong one may be a few nats lower. This term decides between them. Within one minimum the keypoints
     tell the direction far better, so it has no gradient.
-
-    Attributes:
-        azimuth: (A,) probability of each direction, as in `fgrecon.core.observation.Observation`.
     """
 
-    azimuth: Array
+    azimuth: Array  # (A,) probability of each direction, as in `fgrecon.core.observation.Observation`
     name: ClassVar[str] = "direction"
 
     @property

@@ -18,13 +18,10 @@ class CameraDrift:
     """How far a camera may be astray since the beginning of its way.
 
     A way that is too unsure begins anew: nothing is known of how what was before is placed to what comes then.
-
-    Attributes:
-        begun: Where the way begins; None where the camera had no place yet.
-        covariance: (6, 6) of the way from there, in the axes of its beginning.
     """
 
-    begun: gtsam.Pose3 | None = None
+    begun: gtsam.Pose3 | None = None  # where the way begins; None where the camera had no place yet
+    # (6, 6) of the way from there, in the axes of its beginning
     covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
     def moved(self, place: gtsam.Pose3 | None, covariance: Array | None) -> CameraDrift:

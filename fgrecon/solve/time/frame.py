@@ -28,17 +28,11 @@ def image_height(observation: Observation) -> float:
 
 @dataclass(frozen=True)
 class FrameStep:
-    """From a frame to the next.
+    """From a frame to the next."""
 
-    Attributes:
-        seconds: Time.
-        camera: camera_first_T_camera_second; None where it is unknown.
-        covariance: (6, 6) of the camera's motion, rotation and translation in the second camera's frame.
-    """
-
-    seconds: float
-    camera: gtsam.Pose3 | None
-    covariance: Array
+    seconds: float  # time
+    camera: gtsam.Pose3 | None  # camera_first_T_camera_second; None where it is unknown
+    covariance: Array  # (6, 6) of the camera's motion, rotation and translation in the second camera's frame
 
     def carried(self, pose: gtsam.Pose3) -> Array:
         """(6, 6) covariance by the camera's motion of a pose in the second frame, in the vehicle's own."""
@@ -70,23 +64,14 @@ class FrameStep:
 
 @dataclass(frozen=True, kw_only=True)
 class PosedImage:
-    """A vehicle in an image, at one of the poses that its keypoints allow.
+    """A vehicle in an image, at one of the poses that its keypoints allow."""
 
-    Attributes:
-        given: What is to be solved, as it was given; the poses are of it.
-        flipped: The same with its keypoints flipped, where that is how they are taken; else None.
-        start: Its proposals.
-        poses: The poses that its keypoints allow, best first, with energies of the whole.
-        pose: Where it is now.
-        weights: Weights there.
-    """
-
-    given: Problem
-    flipped: Problem | None = None
-    start: PoseEstimate
-    poses: tuple[Alternative, ...]
-    pose: gtsam.Pose3
-    weights: Weights
+    given: Problem  # what is to be solved, as it was given; the poses are of it
+    flipped: Problem | None = None  # the same with its keypoints flipped, where that is how they are taken; else None
+    start: PoseEstimate  # its proposals
+    poses: tuple[Alternative, ...]  # the poses that its keypoints allow, best first, with energies of the whole
+    pose: gtsam.Pose3  # where it is now
+    weights: Weights  # weights there
 
     @property
     def problem(self) -> Problem:
@@ -96,27 +81,16 @@ class PosedImage:
 
 @dataclass(frozen=True, kw_only=True)
 class Frame(PosedImage):
-    """One frame of a vehicle.
+    """One frame of a vehicle."""
 
-    Attributes:
-        number: In the keys.
-        time: Seconds.
-        step: From the frame before; None for the first.
-        image: (B,) what its image says of the heading, logarithms.
-        heading: What it and the frames before it say of the heading.
-        belief: Of the heading.
-        velocity: (3,) where it is now.
-        merged: Whether it stands for frames before it as well, which left the window.
-    """
-
-    number: int
-    time: float
-    step: FrameStep | None
-    image: Array
-    heading: TrackHeading
-    belief: Belief
-    velocity: Array = field(default_factory=lambda: np.zeros(3))
-    merged: bool = False
+    number: int  # in the keys
+    time: float  # seconds
+    step: FrameStep | None  # from the frame before; None for the first
+    image: Array  # (B,) what its image says of the heading, logarithms
+    heading: TrackHeading  # what it and the frames before it say of the heading
+    belief: Belief  # of the heading
+    velocity: Array = field(default_factory=lambda: np.zeros(3))  # (3,) where it is now
+    merged: bool = False  # whether it stands for frames before it as well, which left the window
 
     def begun(self) -> Frame:
         """The frame as the first of its vehicle."""

@@ -138,15 +138,10 @@ def _carried(evidence: Array, seconds: float, camera_turn: float) -> Array:
 
 @dataclass(frozen=True)
 class Aspect:
-    """How a vehicle is seen.
+    """How a vehicle is seen."""
 
-    Attributes:
-        azimuth: From where, radians; front and rear are alike.
-        log_height: Logarithm of its height in the image.
-    """
-
-    azimuth: float
-    log_height: float
+    azimuth: float  # from where, radians; front and rear are alike
+    log_height: float  # logarithm of its height in the image
 
     @classmethod
     def of(cls, heading: float, place: Array, height: float) -> Aspect:
@@ -162,25 +157,15 @@ class Aspect:
 
 @dataclass(frozen=True)
 class TrackHeading:
-    """What the frames of a vehicle say of its heading in the last one.
+    """What the frames of a vehicle say of its heading in the last one."""
 
-    Attributes:
-        earlier: By the views before the last.
-        way: By where it has gone.
-        view: The last view, as it began.
-        mean: (B,) logarithms of what a frame of that says, on average.
-        frames: How many it has.
-        first: Whether there was none before it in time; it counts as one image at least.
-        recent: (B,) logarithms of what the last images say on average, each counting less than the one after it.
-    """
-
-    earlier: Belief
-    way: Belief
-    view: Aspect
-    mean: Array
-    frames: int
-    first: bool
-    recent: Array
+    earlier: Belief  # by the views before the last
+    way: Belief  # by where it has gone
+    view: Aspect  # the last view, as it began
+    mean: Array  # (B,) logarithms of what a frame of that says, on average
+    frames: int  # how many it has
+    first: bool  # whether there was none before it in time; it counts as one image at least
+    recent: Array  # (B,) logarithms of what the last images say on average, each counting less than the one after it
 
     @classmethod
     def begun(cls, image: Array, place: Array, height: float) -> TrackHeading:

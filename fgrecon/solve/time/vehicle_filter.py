@@ -43,46 +43,28 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FilterModel:
-    """How vehicles are followed.
+    """How vehicles are followed."""
 
-    Attributes:
-        motion: How such vehicles move.
-        window: Frames in the graph, at least two.
-        past: Frames of a vehicle that are kept; None keeps all.
-        extra: Makes factors of the caller's own for each step from frame to frame; or None.
-    """
-
-    motion: MotionModel
-    window: int
-    past: int | None = None
-    extra: MotionFactors | None = None
+    motion: MotionModel  # how such vehicles move
+    window: int  # frames in the graph, at least two
+    past: int | None = None  # frames of a vehicle that are kept; None keeps all
+    extra: MotionFactors | None = None  # makes factors of the caller's own for each step from frame to frame; or None
 
 
 @dataclass(frozen=True)
 class VehicleFilter:
-    """A vehicle after a frame.
+    """A vehicle after a frame."""
 
-    Attributes:
-        model: How it is followed.
-        frames: Those of the window, in order.
-        past: All that are kept, in order, as they are now; each for itself, also where the window has merged some.
-        count: How many there were in all.
-        shape: Lambda (N,) and offsets (K, 3).
-        solved: The last solve.
-        path: Over the world, up to the last frame.
-        asked: When it was asked whether it stands, seconds.
-        odd: Whether the last frame contradicts those before.
-    """
-
-    model: FilterModel
-    frames: tuple[Frame, ...]
+    model: FilterModel  # how it is followed
+    frames: tuple[Frame, ...]  # those of the window, in order
+    # all that are kept, in order, as they are now; each for itself, also where the window has merged some
     past: tuple[Frame, ...]
-    count: int
-    shape: ShapeValues
-    solved: WindowSolve
-    path: VehiclePath
-    asked: float = -np.inf
-    odd: bool = False
+    count: int  # how many there were in all
+    shape: ShapeValues  # Lambda (N,) and offsets (K, 3)
+    solved: WindowSolve  # the last solve
+    path: VehiclePath  # over the world, up to the last frame
+    asked: float = -np.inf  # when it was asked whether it stands, seconds
+    odd: bool = False  # whether the last frame contradicts those before
 
     def observed(self, problem: Problem, time: float, step: FrameStep) -> VehicleUpdate:
         """The vehicle in its next frame, by itself.
@@ -175,23 +157,14 @@ def _with_odd_frame(vehicle: VehicleFilter) -> VehicleFilter:
 
 @dataclass(frozen=True)
 class VehicleUpdate:
-    """A vehicle in a frame that is not taken yet.
+    """A vehicle in a frame that is not taken yet."""
 
-    Attributes:
-        model: How it is followed.
-        vehicle: As it was before; None where this is its first frame.
-        frame: The frame.
-        shape: Lambda (N,) and offsets (K, 3): of the vehicle, or by its first frame.
-        solved: The last solve, or that of the first frame.
-        path: Up to the frame.
-    """
-
-    model: FilterModel
-    vehicle: VehicleFilter | None
+    model: FilterModel  # how it is followed
+    vehicle: VehicleFilter | None  # as it was before; None where this is its first frame
     frame: Frame
-    shape: ShapeValues
-    solved: WindowSolve
-    path: VehiclePath
+    shape: ShapeValues  # Lambda (N,) and offsets (K, 3): of the vehicle, or by its first frame
+    solved: WindowSolve  # the last solve, or that of the first frame
+    path: VehiclePath  # up to the frame
 
     def settled(self) -> VehicleUpdate:
         """The update on the side where the vehicle faces, as are the frames of its window."""
@@ -308,15 +281,10 @@ def _evidence(observation: Observation, poses: Sequence[Alternative]) -> Array:
 
 @dataclass(frozen=True)
 class VehiclePath:
-    """Where a vehicle has gone over the world, as far as the camera's own motion is known.
+    """Where a vehicle has gone over the world, as far as the camera's own motion is known."""
 
-    Attributes:
-        camera: The camera, in a world that begins with the vehicle.
-        begun: (3,) where the path begins, or None.
-    """
-
-    camera: gtsam.Pose3 = field(default_factory=gtsam.Pose3)
-    begun: Array | None = None
+    camera: gtsam.Pose3 = field(default_factory=gtsam.Pose3)  # the camera, in a world that begins with the vehicle
+    begun: Array | None = None  # (3,) where the path begins, or None
 
     def on(self, pose: gtsam.Pose3, step: FrameStep) -> tuple[Array | None, VehiclePath]:
         """What the path up to a frame says of the heading in the next one, and the path up to that.

@@ -54,25 +54,17 @@ makes factors on X(0, number), V(0, number) and L(0)."""
 
 @dataclass(frozen=True)
 class WindowSolve:
-    """Frames of a window, solved together.
+    """Frames of a window, solved together."""
 
-    Attributes:
-        seen: The frames' observations.
-        starts: Their proposals.
-        adjusted: Where the graph's optimisation ended.
-        extra: The factors of motion.
-        motion_share: Share of their information that these have.
-        over_world: Whether the velocity of each is over the world, else it is relative to the camera; None where no
-            time has passed that tells it.
-        stands: Whether the vehicle stands in all of them, or drives; None where that is in doubt, or cannot be said.
-    """
-
-    seen: tuple[GraphObservation, ...]
-    starts: tuple[PoseEstimate, ...]
-    adjusted: MultiStartResult
-    extra: tuple[gtsam.NonlinearFactor, ...]
-    motion_share: float = 1.0
+    seen: tuple[GraphObservation, ...]  # the frames' observations
+    starts: tuple[PoseEstimate, ...]  # their proposals
+    adjusted: MultiStartResult  # where the graph's optimisation ended
+    extra: tuple[gtsam.NonlinearFactor, ...]  # the factors of motion
+    motion_share: float = 1.0  # share of their information that these have
+    # whether the velocity of each is over the world, else it is relative to the camera; None where no time has
+    # passed that tells it
     over_world: tuple[bool | None, ...] = ()
+    # whether the vehicle stands in all of them, or drives; None where that is in doubt, or cannot be said
     stands: bool | None = None
 
     def moved(self, frames: Sequence[Frame]) -> list[Frame]:

@@ -27,17 +27,11 @@ _PLAUSIBLE = 4.0  # standard deviations from the prior's sizes up to which it kn
 
 @dataclass(frozen=True)
 class SizeRelation:
-    """Length, width and height of vehicles as a linear function of a prior's coefficients.
+    """Length, width and height of vehicles as a linear function of a prior's coefficients."""
 
-    Attributes:
-        mean: (3,) size at the mean shape, metres.
-        jacobian: (3, N) its change per unit of each coefficient.
-        covariance: (3, 3) of what the coefficients leave open: bumpers and roof rails are not keypoints.
-    """
-
-    mean: Array
-    jacobian: Array
-    covariance: Array
+    mean: Array  # (3,) size at the mean shape, metres
+    jacobian: Array  # (3, N) its change per unit of each coefficient
+    covariance: Array  # (3, 3) of what the coefficients leave open: bumpers and roof rails are not keypoints
 
     @classmethod
     def by_ratios(cls, prior: ShapePrior) -> SizeRelation:

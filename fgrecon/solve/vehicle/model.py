@@ -35,28 +35,19 @@ class LinearPoints:
 
 @dataclass(frozen=True, eq=False)
 class VehicleModel:
-    """What solving needs of a category and its prior, computed once.
+    """What solving needs of a category and its prior, computed once."""
 
-    Attributes:
-        prior: The prior; where a size was given that of the fleet, or conditioned on the size of the one vehicle
-            (`fgrecon.solve.vehicle.conditioning.is_one_vehicle` decides).
-        size: The fleet's size prior; None where none was given, and where the prior holds it already.
-        fleet_given: Whether one was given.
-        visibility: How visible each keypoint of the mean shape is from everywhere.
-        outline: Surface points that can lie on the outline, for tight 2D boxes; the box's corners without a surface.
-        corners: The eight corners of the vehicle's 3D box.
-        dimension_mean: (3,) length, width and height of the mean shape's box.
-        dimension_basis: (3, N) their change per unit of each coefficient.
-    """
-
+    # the prior; where a size was given that of the fleet, or conditioned on the size of the one vehicle
+    # (`fgrecon.solve.vehicle.conditioning.is_one_vehicle` decides)
     prior: ShapePrior
-    size: SizePrior | None
-    fleet_given: bool
-    visibility: VisibilityTable
+    size: SizePrior | None  # the fleet's size prior; None where none was given, and where the prior holds it already
+    fleet_given: bool  # whether one was given
+    visibility: VisibilityTable  # how visible each keypoint of the mean shape is from everywhere
+    # surface points that can lie on the outline, for tight 2D boxes; the box's corners without a surface
     outline: LinearPoints
-    corners: LinearPoints
-    dimension_mean: Array
-    dimension_basis: Array
+    corners: LinearPoints  # the eight corners of the vehicle's 3D box
+    dimension_mean: Array  # (3,) length, width and height of the mean shape's box
+    dimension_basis: Array  # (3, N) their change per unit of each coefficient
 
     def box_points(self, box_model: BoxModel) -> LinearPoints:
         """The points that a 2D box encloses."""

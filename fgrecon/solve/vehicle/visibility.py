@@ -149,14 +149,11 @@ class VisibilityTable:
 
     Whether a keypoint is hidden depends only on the direction from the keypoint to the camera, as long as the camera is
     outside the vehicle. So one table over that direction serves every distance, perspective included.
-
-    Attributes:
-        keypoints: (K, 3) mean keypoints, object frame, metres.
-        values: (K, A, E) probability to be visible at azimuths 0, 5, ..., 360 degrees (from forward to left) and
-            elevations from -20 to 90 degrees (above the keypoint).
     """
 
-    keypoints: NDArray[np.float64]
+    keypoints: NDArray[np.float64]  # (K, 3) mean keypoints, object frame, metres
+    # (K, A, E) probability to be visible at azimuths 0, 5, ..., 360 degrees (from forward to left) and elevations
+    # from -20 to 90 degrees (above the keypoint)
     values: NDArray[np.float64]
 
     @classmethod
