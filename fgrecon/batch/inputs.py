@@ -32,7 +32,7 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.text import whole_text
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.datasets import is_data_set, open_images
-from fgrecon.io.images import IMAGES
+from fgrecon.io.images import IMAGES, refuse_unread
 from fgrecon.io.keypoints.records import NOT_JSON, keypoint_records
 from fgrecon.io.kitti_calibration import calibration_beside, read_calibration
 from fgrecon.io.video_frames import VIDEOS, count_frames
@@ -121,6 +121,7 @@ def sources_of(
         if not (item.is_file() or item.is_dir()):  # files are read twice, once to count their rows
             raise InvalidInputError("input", f"{item}, a pipe or device", "Give files and folders.")
         if item.is_file() and item.suffix.lower() not in _READERS:
+            refuse_unread(item, "input")
             raise InvalidInputError("input", str(item), f"Give a folder, or files ending in {', '.join(_READERS)}.")
         found |= dict.fromkeys(_files(item) if item.is_dir() else [item])
     wanted = load_category(category)
@@ -135,6 +136,7 @@ def _files(folder: Path) -> list[Path]:
     inputs = [path for path in below if results.isdisjoint(path.parents)]
     pictures = [path for path in inputs if path.suffix.lower() in (*IMAGES, *VIDEOS)]
     if not inputs:
+        refuse_unread(left, "input")
         raise InvalidInputError("input", str(folder), "Give a folder with images, videos or keypoint files.")
     return pictures or [path for path in inputs if path.suffix.lower() not in NOT_JSON] or inputs
 

@@ -17,6 +17,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.demo import DemoScene
+from fgrecon.simulation.keypoint_noise import OUTLIER
 from fgrecon.simulation.sample import GROUND, SampleStreet, sample_street
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.viz import DrawnVehicle, Truth, scene_picture
@@ -92,11 +93,12 @@ def _pose_cells(pose: NDArray[np.float64], size: Iterable[float]) -> tuple[str, 
 
 def in_words(scene: DemoScene, result: Reconstruction) -> tuple[str, ...]:
     """Lines about what was simulated and what became of it."""
-    hidden, wrong = int((~scene.truth.visible).sum()), int(scene.truth.outlier.sum())
-    count = len(scene.observation.keypoints)
+    hidden, wrong = ~scene.truth.visible, scene.truth.outlier
+    count, both = len(scene.observation.keypoints), (wrong & hidden).sum()
     bounds = describe_bounds(result)
     return (
-        f"A simulated car with {count} keypoints: {hidden} hidden, {wrong} measured in a wrong place.",
+        f"A simulated car with {count} keypoints: {hidden.sum()} are hidden.",
+        f"{wrong.sum()} ({both} of them hidden) are measured more than {100 * OUTLIER:.0f} % of its box off.",
         f"{result.status.value}: {result.message}",
         *([f"Distance and yaw, {bounds}."] if bounds else []),
     )

@@ -378,8 +378,9 @@ class VehicleBoxes:
         Raises:
             InvalidInputError: Something is given.
         """
-        from fgrecon.io.images import IMAGES
+        from fgrecon.io.images import IMAGES, refuse_unread
 
+        refuse_unread(file, "file")
         for field in ("box", "boxes", "weights", "detect", "min_score"):
             if value := getattr(self, field):
                 fix = f"Give an image ({', '.join(IMAGES)}) instead, or leave this out."

@@ -23,7 +23,7 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.text import counted, distinct
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.files import write_text
-from fgrecon.io.images import IMAGES, read_photograph
+from fgrecon.io.images import IMAGES, read_photograph, refuse_unread
 from fgrecon.viz.outcomes import draw, draw_moving, recordings
 
 _NAMED = 8
@@ -174,9 +174,11 @@ def _targets(files: Sequence[Path], request: ReconstructRequest) -> dict[Path, P
         if file.is_dir():
             inside = [path for path in sorted(file.iterdir()) if is_image(path) and path.is_file()]
             if not inside:
+                refuse_unread(file, "file")
                 raise InvalidInputError("file", str(file), f"Give a folder with images ({', '.join(IMAGES)}).")
             images |= dict.fromkeys(inside)
         elif not is_image(file):
+            refuse_unread(file, "file")
             fix = "Give images and folders of them, or one file alone without --out."
             raise InvalidInputError("file", str(file), fix)
         else:

@@ -204,6 +204,18 @@ class Reconstruction:
         return self.pose.location
 
     @property
+    def heading_sigma(self) -> float | None:
+        """Standard deviation of the heading, radians, about the vehicle's own y axis; None without covariance."""
+        covariance = self.uncertainty.pose_covariance
+        return None if covariance is None else math.sqrt(covariance[1, 1])
+
+    @property
+    def position_sigmas(self) -> NDArray[np.float64] | None:
+        """(3,) standard deviations of `location` along the camera's axes, metres; None without covariance."""
+        covariance, R = self.uncertainty.pose_covariance, self.camera_T_object[:3, :3]
+        return None if covariance is None else np.sqrt(np.diag(R @ covariance[3:, 3:] @ R.T))
+
+    @property
     def box_size(self) -> NDArray[np.float64]:
         """(3,) length, width and height, metres: that of `shape`."""
         return self.shape.box_size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,3 +47,15 @@ class VehicleEstimate:
     def speed(self) -> float | None:
         """Metres per second; None where the velocity is."""
         return None if self.velocity is None else float(np.linalg.norm(self.velocity))
+
+    @property
+    def speed_sigma(self) -> float | None:
+        """Standard deviation of the speed, metres per second; of what stands the largest of its velocity's.
+
+        None where the velocity's covariance is.
+        """
+        velocity, covariance, speed = self.velocity, self.velocity_covariance, self.speed
+        if velocity is None or covariance is None:
+            return None
+        variance = velocity @ covariance @ velocity / speed**2 if speed else np.linalg.eigvalsh(covariance)[-1]
+        return math.sqrt(variance)

@@ -22,7 +22,7 @@ import numpy as np
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.bag_frames import BagFrames
 from fgrecon.io.frame_names import DEFAULT_RATE, OrderedImages, distinct_names, frames_by_name, times_of
-from fgrecon.io.images import IMAGES, read_image
+from fgrecon.io.images import IMAGES, read_image, refuse_unread
 from fgrecon.io.source_frames import Choice, SourceFrame, sized
 from fgrecon.io.video_frames import VIDEOS, VideoFrames, open_video
 
@@ -196,6 +196,7 @@ def _files(source: str) -> list[Path]:
         found = [Path(name) for name in glob(source)]  # noqa: PTH207 - the pattern may be absolute
     images = [p for p in found if p.suffix.lower() in IMAGES]
     if not images:
+        refuse_unread(path, "source")
         fix = f"Give a video ({', '.join(VIDEOS)}), a folder of images, or a pattern that finds images."
         known = path.exists() or set(source) & set("*?[")
         raise InvalidInputError("source", source, fix if known else f"There is no such file or folder. {fix}")

@@ -19,6 +19,26 @@ from fgrecon.io.files import write_bytes
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 """Endings of image files."""
 
+UNREAD = (".heic", ".heif", ".hif", ".avif", ".jxl", ".dng", ".cr2", ".cr3", ".nef", ".arw")
+"""Endings of photographs in formats that are not read."""
+
+
+def refuse_unread(path: Path, field: str) -> None:
+    """Refuse a photograph in a format that is not read, or a folder that has one; whatever else is passed over.
+
+    Args:
+        path: The file or folder.
+        field: What the error is about.
+
+    Raises:
+        InvalidInputError: It is such; says what to do.
+    """
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    for file in files:
+        if file.suffix.lower() in UNREAD and file.is_file():
+            fix = "Its format is not read: save photographs as JPEG. `fgrecon reconstruct` takes them with --detect."
+            raise InvalidInputError(field, str(file), fix)
+
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
     """A photograph as (H, W, 3) RGB bytes, upright as its EXIF data say.

@@ -43,7 +43,7 @@ from fgrecon.core.checks import one_word
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation, scaled_pixels
 from fgrecon.io.image_size import scale_between
-from fgrecon.io.images import IMAGES
+from fgrecon.io.images import IMAGES, refuse_unread
 from fgrecon.io.json_fields import Fields, numbers, plain_id, read_json
 from fgrecon.io.lens_fields import check_unused, read_distortion, read_size
 from fgrecon.io.video_frames import VIDEOS
@@ -330,6 +330,7 @@ def refuse_other_file(path: Path) -> None:
     Raises:
         InvalidInputError: It is a video, an image, or a table; names the command.
     """
+    refuse_unread(path, "file")
     ending = path.suffix.lower()
     if ending in VIDEOS:
         what, fix = "A video", "give it to `fgrecon run`, which follows cars, or to `fgrecon batch`."

@@ -31,7 +31,7 @@ Advance = Callable[[str, int, int | None], None]
 _RATE = 10.0  # for players; the frames have times of their own
 _TRAIL = 100  # frames that a vehicle's path is drawn
 _SIGMAS = 1.96  # of 95 %
-_STILL = 1e-9  # m/s: what has less has no direction
+_STANDING = 1.0  # m/s: to so much the speed of what stands is worth writing
 
 
 class Showing:
@@ -76,8 +76,9 @@ class Showing:
             return "" if self._beside_table else result.status.value
         if not self._beside_table:
             words.append(f"{np.linalg.norm(result.location):.0f} m")
-        if estimate.speed is not None and estimate.world_T_object is not None:  # from the camera alone it means little
-            words.append(f"{3.6 * estimate.speed:.0f} km/h")
+        speed, sigma = estimate.speed, estimate.speed_sigma or 0.0
+        if speed is not None and estimate.world_T_object is not None:  # from the camera alone it means little
+            words += [f"{3.6 * speed:.0f} km/h"] if sigma <= max(speed, _STANDING) else []
         return ", ".join(words)
 
     def frame(self, frame: TrackedFrame, image: NDArray[np.uint8] | None) -> RecordedFrame:
@@ -185,29 +186,21 @@ def values_of(estimate: VehicleEstimate) -> dict[str, tuple[float, ...]]:
     result = estimate.reconstruction
     if not result.status.determined:
         return {}
-    pose, sizes = result.uncertainty.pose_covariance, result.uncertainty.size_covariance
+    sizes, sigma = result.uncertainty.size_covariance, result.heading_sigma
     spreads = np.full(3, np.nan) if sizes is None else np.sqrt(np.diag(sizes))
     known = {name: (value,) for name, value in motion_of(estimate).items() if value is not None}
     return {
-        "yaw": _band(np.degrees(result.rotation_y), np.nan if pose is None else np.degrees(np.sqrt(pose[1, 1]))),
+        "yaw": _band(np.degrees(result.rotation_y), None if sigma is None else np.degrees(sigma)),
         **{name: _band(*pair) for name, *pair in zip(SIZES, result.box_size, spreads, strict=True)},
         "distance": (float(np.linalg.norm(result.location)),),
         **known,
-        **({} if estimate.speed is None else {"speed": _band(estimate.speed, _speed_sigma(estimate))}),
+        **({} if estimate.speed is None else {"speed": _band(estimate.speed, estimate.speed_sigma)}),
     }
 
 
-def _speed_sigma(estimate: VehicleEstimate) -> float:
-    """Of the speed, metres per second; NaN where it is not known."""
-    velocity, covariance = estimate.velocity, estimate.velocity_covariance
-    if velocity is None or covariance is None:
-        return float("nan")
-    along = velocity / max(float(np.linalg.norm(velocity)), _STILL)
-    return float(np.sqrt(along @ covariance @ along))
-
-
-def _band(value: float, sigma: float) -> tuple[float, ...]:
+def _band(value: float, sigma: float | None) -> tuple[float, ...]:
     """A value with its band of 95 %, which is NaN where that is not known."""
+    sigma = np.nan if sigma is None else sigma
     return (float(value), float(value - _SIGMAS * sigma), float(value + _SIGMAS * sigma))
 
 

@@ -72,11 +72,26 @@ def test_a_keypoint_file_is_not_searched(images):
 
 
 def test_a_file_that_is_no_image_is_named_with_the_endings_of_images(images):
-    (phone := images / "phone.heic").write_bytes(b"ftypheic")
+    (phone := images / "phone.xcf").write_bytes(b"gimp")
     done = run("reconstruct", phone, "--detect")
     assert isinstance(done.exception, InvalidInputError)
-    assert "phone.heic" in str(done.exception)
+    assert "phone.xcf" in str(done.exception)
     assert ".jpeg" in str(done.exception)
+
+
+@pytest.mark.parametrize("command", ["reconstruct", "batch", "track", "run"])
+def test_a_photograph_in_a_format_that_is_not_read_is_called_one(tmp_path, command):
+    folder = tmp_path / "phone"
+    folder.mkdir()
+    (folder / "photo.HEIC").write_bytes(b"ftypheic")
+    out = ["--out", tmp_path / "out"]
+    outs = {"reconstruct": ([], out), "batch": (out, out), "track": ([],), "run": (out, out)}[command]
+    for given, rest in zip((folder / "photo.HEIC", folder), outs, strict=False):
+        done = run(command, given, *rest)
+        assert isinstance(done.exception, InvalidInputError)
+        assert done.exception.value == str(folder / "photo.HEIC")
+        assert "JPEG" in done.exception.fix
+        assert "--detect" in done.exception.fix
 
 
 def test_detections_are_what_boxes_reads(images, scene):

@@ -2,7 +2,7 @@
 
 import json
 import struct
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import gtsam
 import numpy as np
@@ -25,7 +25,9 @@ from fgrecon.core.reconstruction import (
     Uncertainty,
     rotation_y,
 )
+from fgrecon.core.vehicle_estimate import VehicleEstimate
 from tests.cars import yaw_pose
+from tests.results import changed
 
 
 def made_up(rng, coefficients=5, history=2):
@@ -191,3 +193,28 @@ def test_pose_and_yaw(yaw):
     assert rotation_y(yaw_pose(yaw)[:3, :3]) == pytest.approx(yaw)
     np.testing.assert_array_equal(result.location, yaw_pose(yaw)[:3, 3])
     assert result.pose.gtsam.equals(gtsam.Pose3(gtsam.Rot3.Ry(yaw), result.location), 1e-12)
+
+
+def test_sigmas_are_the_spread_of_poses_drawn_from_the_covariance():
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(6, 6))
+    covariance = 1e-6 * root @ root.T
+    result = changed(made_up(rng), camera_T_object=yaw_pose(0.7, (1.0, 1.5, 20.0)), pose_covariance=covariance)
+    drawn = [result.pose.gtsam.retract(step) for step in rng.multivariate_normal(np.zeros(6), covariance, 20000)]
+    places = np.array([pose.translation() for pose in drawn])
+    assert result.position_sigmas == pytest.approx(places.std(axis=0), rel=0.03)
+    assert result.heading_sigma == pytest.approx(np.std([rotation_y(p.matrix()) for p in drawn]), rel=0.03)
+    unknown = changed(result, pose_covariance=None)
+    assert (unknown.heading_sigma, unknown.position_sigmas) == (None, None)
+
+
+def test_the_speed_s_sigma_is_the_spread_of_lengths_of_velocities():
+    rng = np.random.default_rng(4)
+    velocity, root = np.array([8.0, 0.3, -3.0]), rng.normal(size=(3, 3))
+    covariance = 1e-3 * root @ root.T
+    estimate = VehicleEstimate(1, 0.1, made_up(rng), velocity, 0.0, 0.9, velocity_covariance=covariance)
+    drawn = np.linalg.norm(rng.multivariate_normal(velocity, covariance, 20000), axis=1)
+    assert estimate.speed_sigma == pytest.approx(drawn.std(), rel=0.03)
+    still = replace(estimate, velocity=np.zeros(3), velocity_covariance=np.diag([0.04, 0.01, 0.09]))
+    assert still.speed_sigma == pytest.approx(0.3)
+    assert replace(estimate, velocity_covariance=None).speed_sigma is None

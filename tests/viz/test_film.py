@@ -33,6 +33,17 @@ def test_words_have_commas_and_tell_nothing_that_the_table_does():
     assert [Showing(beside_table=beside).vehicles(lost)[0].words for beside in (False, True)] == ["degenerate", ""]
 
 
+def test_a_speed_that_may_as_well_be_none_is_not_written():
+    def words(speed, sigma):
+        velocity, covariance = np.array([0.0, 0.0, speed]), np.diag([1e4, 1e4, sigma**2])
+        shown = replace(frame(0).estimates[5], velocity=velocity, velocity_covariance=covariance)
+        return Showing(beside_table=True).vehicles(replace(frame(0), estimates={5: shown}))[0].words
+
+    assert words(68.0, 70.0) == ""
+    assert words(68.0, 2.0) == "245 km/h"
+    assert words(0.1, 0.5) == "0 km/h"  # it stands
+
+
 def test_places_that_are_not_known_are_no_part_of_a_path():
     showing = Showing()
     trails = [

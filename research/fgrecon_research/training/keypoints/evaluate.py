@@ -13,6 +13,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.coverage import Reliability, reliability
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import view_azimuth
+from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.metrics import average_precision
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import REACH, Detection, KeypointCascade
@@ -140,6 +141,7 @@ class PosedScore:
         return float((self.errors <= degrees).mean())
 
 
+@summed_up()  # what an evaluation solves is measured, not doubted
 def azimuth_errors(
     detector: KeypointCascade,
     cars: Sequence[PosedCar],
