@@ -307,7 +307,6 @@ class SurfacePointsFactor(SensedFactor):
         """Bind the points to variables by their keys, or to constants.
 
         Args:
-            rows: The points.
             pose: camera_T_object, or (4, 4).
             coefficients: lambda, or (N,).
             shared: What the points share, or (2,); not used where they share nothing.

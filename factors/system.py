@@ -44,7 +44,6 @@ class System:
 
         Args:
             factors: The factors, as the solver gets them.
-            values: All variables.
             others: Those of another graph of the same variables, some of them the same; None for one graph alone.
         """
         kernel, zero = native("factors._rows"), values.zeroVectors()

@@ -53,7 +53,6 @@ def solve(folder: Path, uploaded: Uploaded, requested: Requested, *, history: bo
     Args:
         folder: Where the files are.
         uploaded: Their names.
-        requested: What is requested.
         history: Whether steps are kept; None for what is requested.
 
     Raises:

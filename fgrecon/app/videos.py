@@ -125,9 +125,7 @@ def track_upload(folder: Path, name: str, out: Path, requested: PageRequested) -
 
     Args:
         folder: Where it is.
-        name: Its name.
         out: Where its results are left.
-        requested: What is requested.
 
     Raises:
         InvalidInputError: The video or a value cannot be used.

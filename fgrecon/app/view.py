@@ -99,7 +99,6 @@ def view_of(folder: Path, uploaded: Uploaded, requested: Requested, models: Path
     Args:
         folder: Where the files are.
         uploaded: Their names.
-        requested: What is requested.
         models: Car models that cars are compared with, a folder or file; or None.
 
     Raises:

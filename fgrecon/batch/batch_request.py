@@ -47,7 +47,6 @@ def reconstruct_files(request: BatchRequest, report: Callable[[Tally], None] = l
     """Reconstruct every row of some files; see `fgrecon.batch.run`, whose errors it raises.
 
     Args:
-        request: What is requested.
         report: Called whenever rows are done.
 
     Raises:

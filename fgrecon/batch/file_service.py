@@ -87,8 +87,6 @@ def read_file(path: Path, request: FileRequest, photograph: Path | None = None) 
     """The vehicles of a photograph, with the keypoints that the networks detect; or of a file of keypoints or a track.
 
     Args:
-        path: The file.
-        request: What is requested.
         photograph: The image of a keypoint file, or None.
 
     Raises:
@@ -123,7 +121,6 @@ def _with_evidence(tasks: list[VehicleTask], sensors: SensorSource | None, file:
     """The vehicles of a keypoint file with what other sensors say of their images.
 
     Args:
-        tasks: The vehicles.
         sensors: The sensors' files, or None.
         file: The photograph, else the keypoint file, whose name the sensors' files have where vehicles name no image.
     """

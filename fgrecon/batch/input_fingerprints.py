@@ -31,7 +31,6 @@ def check_unedited(folder: Path, sources: Sequence[InputFile], done: Collection[
 
     Args:
         folder: Of the run.
-        sources: Its files.
         done: Ids of the rows that are done.
 
     Raises:

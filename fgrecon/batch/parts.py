@@ -52,7 +52,6 @@ class Parts:
         """Look at a folder.
 
         Args:
-            folder: The folder.
             schema: Columns of its tables, `row_id` among them; None for those of results.
         """
         self._folder, self._schema = folder, result_schema() if schema is None else schema
@@ -206,7 +205,6 @@ def begin(
     """Make the folder of a run, or see that what is in it was solved with the same settings.
 
     Args:
-        folder: The folder.
         settings: What its rows depend on, as plain values.
         run_format: Name of their format.
         anew: Asked where there is a run with other settings: whether it makes place, instead of being refused.

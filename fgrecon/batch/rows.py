@@ -53,7 +53,6 @@ def solved_row(
         origin: What the row takes over from its task.
         vehicle: Number of the vehicle within the task.
         name: The vehicle's id.
-        result: The reconstruction.
         camera: The camera that saw it.
     """
     return {

@@ -75,12 +75,10 @@ def solve_tasks(
     """Reconstruct vehicles, those of an image together or each by itself.
 
     Args:
-        tasks: The vehicles.
         settings: What holds for all of them.
         together: Whether the vehicles of an image share its ground; where a focal length is not known, they are solved
             together in any case.
         jobs: Processes, each with one thread; vehicles of an image are solved together in one.
-        watch: Shows progress.
 
     Returns:
         One outcome per task, in order, and the images whose vehicles were solved together.

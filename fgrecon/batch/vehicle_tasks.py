@@ -89,7 +89,6 @@ def read_tasks(
     """The vehicles of a file of keypoints, of any format, or of a track.
 
     Args:
-        path: The file.
         category: Category of its keypoints.
         source: The given camera, which goes before the file's.
         names: What is known of the keypoints' names, or None.
@@ -174,7 +173,6 @@ def image_tasks(
         source: The given camera, with the photograph.
         boxes: Where the vehicles are.
         how: How keypoints are detected.
-        watch: Shows progress.
         sensors: Other sensors' files, or None.
 
     Returns:
@@ -256,7 +254,6 @@ def input_warnings(tasks: Iterable[VehicleTask], *, detected: bool = False) -> l
     """What to warn of before vehicles are solved: keypoints in other units, or not where the vehicle is, or the camera.
 
     Args:
-        tasks: The vehicles.
         detected: Whether the keypoints are those that the networks detect, which leaves the camera.
     """
     doubts = InputWarnings()

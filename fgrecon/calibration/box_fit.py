@@ -60,7 +60,6 @@ def seen_boxes(drives: Sequence[Drive], frames: Iterable[ScoredFrame], prior: Sh
     Args:
         drives: The labelled drives.
         frames: What was detected in their frames.
-        prior: Shape prior.
     """
     plain = prepare(prior)
     labelled = {(drive.name, frame.number): frame for drive in drives for frame in drive.frames}

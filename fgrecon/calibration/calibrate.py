@@ -49,7 +49,6 @@ def calibrate_detector(
         request: The labelled drives; boxes are fitted where they are detected.
         size_prior: Name of the given fleet, for the provenance.
         warn: Called with everything that could not be fitted, or is doubtful.
-        advance: Shows progress.
         scored: Called with each factor of the covariances and the drives scored with it.
 
     Raises:

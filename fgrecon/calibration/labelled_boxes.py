@@ -180,7 +180,6 @@ def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Arr
     """How far a result is off.
 
     Args:
-        result: The result.
         truth: Labelled place and yaw.
         size: (3,) labelled length, width and height.
         offset: (3,) of the labels' frame in the camera's.

@@ -111,8 +111,6 @@ def score_drives(
     """Reconstruct the labelled boxes that count, and score them.
 
     Args:
-        request: The drives.
-        advance: Shows progress.
         read: Reads a drive; the default reads folders of single images and data sets as well.
         rivals: From the given scene what scores other methods on the same keypoints.
         keypoints: What is assumed of the detector; None for the default.

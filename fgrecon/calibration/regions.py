@@ -30,7 +30,6 @@ def claimed(result: Reconstruction, position: Array, yaw: float, size: Array) ->
     """The errors of position, yaw and size by the result's own covariances.
 
     Args:
-        result: The result.
         position: (3,) error of the location in the camera's frame, metres.
         yaw: Error about the vertical axis, radians.
         size: (3,) error of length, width and height, metres.

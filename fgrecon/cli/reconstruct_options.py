@@ -216,9 +216,6 @@ class ReconstructRequest:
     def of_files(self, watch: Watch) -> FileRequest:
         """What is requested of each file.
 
-        Args:
-            watch: Shows progress.
-
         Raises:
             InvalidInputError: A value names nothing, or cannot be used.
         """

@@ -80,7 +80,6 @@ def solve(
 
     Args:
         file: Track, or keypoint file whose instances are the images of one vehicle.
-        source: The given camera.
         settings: What holds for all images.
         images: Folder with photographs, or None.
         names: What is known of the keypoints' names, or None.
@@ -213,7 +212,6 @@ def document(tracks: Sequence[Solved], settings: RunSettings, *, history: bool =
     """The JSON text of a run; its instances are the images of all tracks, as `fgrecon export` reads them.
 
     Args:
-        tracks: The tracks.
         settings: What held for all.
         history: Whether results keep their history.
     """

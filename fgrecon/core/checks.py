@@ -155,7 +155,6 @@ def as_list(field: str, value: Any, kind: type | None = None, *, gaps: bool = Fa
 
     Args:
         field: Its name.
-        value: What is given.
         kind: Class of its members; None where they are checked elsewhere.
         gaps: Whether None may be among them.
 

@@ -36,7 +36,6 @@ def _compiled(package: str, name: str, public: str) -> Any:
     """A compiled module of a package of scipy, which that package takes when it is imported later.
 
     Args:
-        package: The package.
         name: Of the module.
         public: Of the package's module with the same functions, where scipy has another layout or the package is
             there; empty for the package.

@@ -228,7 +228,6 @@ def of_vehicle(masks: Sequence[Mask], box: NDArray[np.float64], least: float) ->
     """Of an image's masks the vehicle's, None where none is there, and those of what may hide it.
 
     Args:
-        masks: The masks.
         box: (4,) where the vehicle is, pixels.
         least: Intersection over union of both boxes from which on a mask is the vehicle's.
     """

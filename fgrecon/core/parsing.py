@@ -47,7 +47,6 @@ def parse_numbers(field: str, text: str, expected: str, counts: tuple[int, ...])
 
     Args:
         field: Name of the option, for errors.
-        text: What was given.
         expected: What to give, for errors.
         counts: How many there may be.
 

@@ -95,7 +95,6 @@ def model_distances(
         names: K names of keypoints.
         wireframe: (K, 3) the shape's keypoints, object frame, metres.
         surface: (S, 3) points of its surface, or None.
-        models: The models.
 
     Raises:
         InvalidInputError: There is no model, or neither keypoints nor surfaces can be compared.

@@ -39,7 +39,6 @@ def read_limited(path: Path, field: str) -> bytes:
     """The content of a file that has at most `largest_bytes`.
 
     Args:
-        path: Its path.
         field: What an error names.
 
     Raises:
@@ -99,7 +98,6 @@ def read_lone_array(content: bytes, name: str, fix: str) -> NDArray[Any]:
     """The array of an npy file, without pickled content.
 
     Args:
-        content: The file's bytes.
         name: What it is called in an error.
         fix: What to give instead.
 

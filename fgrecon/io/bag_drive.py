@@ -327,7 +327,6 @@ def cloud_points(message: Any, where: str) -> Array:
     """(N, 3) the points of a `PointCloud2`, metres, those that are not finite left out.
 
     Args:
-        message: The message.
         where: What errors begin with.
 
     Raises:

@@ -108,7 +108,6 @@ def write_coco_keypoints(path: str | Path, labels: VehicleLabels, *, meshes: boo
     """Write labels, whole or not at all; images are named relative to the file's folder, by their paths as given.
 
     Args:
-        path: The file.
         labels: What it shall hold.
         meshes: Whether to write the surfaces.
 

@@ -32,7 +32,6 @@ def exif_camera(content: bytes, width: int, height: int) -> Camera | None:
     """The camera of a photograph, its principal point in the middle; None where its EXIF data do not tell.
 
     Args:
-        content: The file's bytes.
         width: Of the picture, upright, pixels.
         height: Of the picture, upright, pixels.
     """

@@ -26,7 +26,6 @@ def read_text(path: Path, field: str, fix: str = "") -> str:
     """The text of a file (UTF-8, a byte order mark left out).
 
     Args:
-        path: The file.
         field: What an error calls it, where it cannot be read.
         fix: What to give instead; empty for what is wrong with the file.
 

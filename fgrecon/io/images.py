@@ -53,7 +53,6 @@ def read_photograph(path: str | Path, whole: tuple[int, int] | None = None) -> t
     """A photograph as `read_image` gives it, and its camera where the EXIF data tell one (`fgrecon.io.exif`).
 
     Args:
-        path: The file.
         whole: (width, height) in pixels of the image that it is a part of, whose camera is meant then.
 
     Raises:
@@ -68,7 +67,6 @@ def decode_photograph(
     """The content of an image file as `read_photograph` gives it.
 
     Args:
-        content: The file's bytes.
         name: What it is called in an error.
         whole: As in `read_photograph`.
 
@@ -90,7 +88,6 @@ def decode_image(content: bytes, name: str) -> NDArray[np.uint8]:
     """The content of an image file as (H, W, 3) RGB bytes; see `read_image`.
 
     Args:
-        content: The file's bytes.
         name: What it is called in an error.
 
     Raises:

@@ -20,10 +20,6 @@ T = TypeVar("T")
 def stored(path: Path, read: Callable[[Path], T]) -> T | None:
     """What a file holds, or None where there is none; a damaged one is put aside as `_NAME.damaged`.
 
-    Args:
-        path: The file.
-        read: Reads it.
-
     Warns:
         DamagedFileWarning: It is damaged; names it.
     """

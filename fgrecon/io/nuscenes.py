@@ -149,7 +149,6 @@ def camera_T_lidar(tables: NuScenesTables, image: str, sweep: str) -> Array:
     """(4, 4) from a LiDAR's frame at its sweep to a camera's at its image; the vehicle moves between the two.
 
     Args:
-        tables: The tables.
         image: Name of the image.
         sweep: Name of the sweep's file.
 

@@ -99,9 +99,7 @@ def read_submission(path: Path, images: Path, tables: NuScenesTables) -> Submiss
     """A submission and the images of its samples.
 
     Args:
-        path: The file.
         images: An image of a key frame, or a folder of such; they have nuScenes' names.
-        tables: The tables.
 
     Raises:
         InvalidInputError: A file cannot be read or is malformed, or there is none of the images; names file and field.

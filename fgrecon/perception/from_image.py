@@ -106,10 +106,7 @@ def reconstruct_detections(
     Args:
         detections: What a keypoint detector returned.
         camera: The camera that took the image, which may be one of unknown focal length.
-        prior: Shape prior.
         ground: Ground plane.
-        size_prior: Size prior.
-        options: Settings.
         together: Whether the vehicles share one ground.
         evidence: What other sensors say of the vehicles.
         extra_factors: The caller's own factors.

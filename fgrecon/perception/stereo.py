@@ -64,7 +64,6 @@ def stereo_depth(left: NDArray[Any], camera: Camera, pair: StereoPair, settings:
 
     Args:
         left: (H, W, 3) RGB, or grey; 8 or 16 bits.
-        camera: Its camera.
         pair: The right image and its camera.
         settings: How they are matched.
 

@@ -153,7 +153,6 @@ def disturbed_boxes(boxes: Sequence[Box3D], camera: Camera, errors: BoxErrors, r
 
     Args:
         boxes: The true boxes.
-        camera: The camera.
         errors: How far a detector's are off.
         rng: Source of the errors.
     """

@@ -39,7 +39,6 @@ class KnownBox:
 
         Args:
             seen: What is observed.
-            camera: The camera.
             setup: What holds for all vehicles; its sizes are for a box without one.
 
         Raises:

@@ -77,7 +77,6 @@ def look_at_vehicles(
 
     Args:
         observations: Of each vehicle, by id.
-        frame: The frame of the camera.
         ground: The ground that they are looked at on, or None.
         tracks: Those that were observed before, by id.
         setup: What holds for all of them.

@@ -144,7 +144,6 @@ class GroundFilter:
         """Take a frame, and look at its vehicles on its ground.
 
         Args:
-            frame: The frame.
             look: Looks at its vehicles, there may be none, on a ground.
 
         Returns:

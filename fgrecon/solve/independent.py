@@ -101,8 +101,6 @@ def solve_independently(
     """Solve vehicles one by one.
 
     Args:
-        observations: The keypoints of each.
-        camera: The camera.
         setup: What holds for all of them.
         boxes: What a detector's box says of each, whose size takes the place of the fleet's; or None.
         image_of: The image of each, for vehicles of one image say which way one another face; None for one image.

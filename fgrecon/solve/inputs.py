@@ -70,7 +70,6 @@ class SolveSetup:
         Args:
             prior: Shape prior, or its name, or the path of its file.
             sizes: Fleet, or a size prior; None takes sizes from the shape prior.
-            options: Settings.
             ground: Ground plane, or the height in metres of a level camera.
             joint: Whether pose and shape have to move together.
 
@@ -344,8 +343,6 @@ def evidence_of(given: Sequence[Evidence], camera: Camera, *, of_all: bool = Fal
     """What other sensors say of the vehicles in a camera's image.
 
     Args:
-        given: The evidence.
-        camera: The camera.
         of_all: Whether it is about all vehicles of the image, and not of a single one.
 
     Raises:

@@ -19,7 +19,6 @@ def refined(given: Box3D, errors: BoxErrors, result: Reconstruction | None, erro
     """What becomes of a box.
 
     Args:
-        given: The box.
         errors: How far it is off.
         result: The vehicle that was solved with it (`fgrecon.reconstruct_scene`), or None where it was refused.
         error: Why it was refused, or None.

@@ -67,7 +67,6 @@ def marginalise(graph: Graph, optimum: Optimum, at_once: Collection[int] | None 
     """What is known at the end of an optimisation of a graph.
 
     Args:
-        graph: The graph.
         optimum: Its end.
         at_once: Indices of the observations whose covariances are needed by one factorisation (`Spread`), which is
             quicker for frames of one vehicle; None for those of all by `gtsam.Marginals`.
@@ -105,7 +104,6 @@ def results(
     """The result of each observation.
 
     Args:
-        seen: The observations.
         starts: Their proposals.
         adjusted: Where the graph's optimisation ended.
         milliseconds: Wall time by stage.

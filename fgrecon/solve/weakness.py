@@ -38,7 +38,6 @@ def weaknesses(
     Args:
         observation: What it was solved from.
         weights: (K,) final weights of the keypoints.
-        camera: The camera.
         camera_T_object: (4, 4) pose.
         coefficients: (N,) shape coefficients.
         box_size: (3,) length, width and height, metres.

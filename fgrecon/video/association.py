@@ -301,7 +301,6 @@ def ground_contact(
 
     Args:
         box: (4,) x1, y1, x2, y2 in pixels.
-        camera: The camera.
         ground: The ground in its frame.
         settings: How sure boxes and ground are.
 

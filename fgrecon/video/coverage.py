@@ -59,7 +59,6 @@ def coverage_warnings(
     """What to warn of after all frames were read: frames without a pose, vehicles in frames that are none.
 
     Args:
-        frames: The frames.
         source: What they come from: vehicles in frames that were not chosen of it are as they should be.
         poses: The camera's poses, or None.
         vehicles: Numbers of the frames that vehicles are given for, or None.

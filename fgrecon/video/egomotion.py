@@ -205,7 +205,6 @@ def motion_of_points(
     Args:
         before: (P, 2) pixels in the image before, without lens distortion.
         after: (P, 2) pixels of the same points in the next image.
-        camera: The camera.
         ground: The ground in its frame, which gives the scale.
         guess: (4, 4) previous_T_current as far as known, or None.
 

@@ -53,7 +53,6 @@ class FrameStore(Sequence[TrackedFrame]):
         """Keep some frames.
 
         Args:
-            frames: The frames.
             folder: Where the file is, which has no name; None for where temporary files are.
         """
         self.heads: list[FrameHead] = []

@@ -142,7 +142,6 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
     """Read what is requested, refuse what cannot be done, and find the camera, before the work.
 
     Args:
-        request: What is requested.
         warn: Called with what was assumed.
 
     Raises:

@@ -61,7 +61,6 @@ def recordings_of(sights: Sequence[SolvedVehicle], ground: Ground | None) -> lis
     """Title and recording of vehicles.
 
     Args:
-        sights: The vehicles.
         ground: The ground plane that was assumed.
     """
     images = {id(s.image): Photograph.of(s.image) for s in sights}  # several vehicles may be in one

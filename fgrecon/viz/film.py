@@ -135,7 +135,6 @@ def still(
         path: File to write.
         source: The frames' images.
         frames: What was estimated in them.
-        camera: Their camera.
         ground: The ground plane, or None.
         number: Which frame; None for the first of those with the most estimates.
 

@@ -137,7 +137,6 @@ def runs_of(
 
     Args:
         points: (L, P, 3) points along each, in the camera frame.
-        camera: The camera.
         depth: What stands in the way, or None.
 
     Returns:

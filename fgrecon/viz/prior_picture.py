@@ -28,7 +28,6 @@ def prior_picture(prior: ShapePrior, modes: int | None = None) -> Any:
     of +2 does is drawn solid, of -2 dashed.
 
     Args:
-        prior: The prior.
         modes: How many of its modes to draw; all by default.
 
     Returns:

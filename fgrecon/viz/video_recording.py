@@ -59,7 +59,6 @@ class LiveRecording:
         Args:
             name: Of the recording.
             address: `host:port` of a viewer that listens.
-            camera: The camera.
 
         Raises:
             InvalidInputError: Nobody listens there.
@@ -83,7 +82,6 @@ def video_recording_of(frames: Callable[[], Iterable[RecordedFrame]], camera: Ca
 
     Args:
         frames: Makes the frames, in order; asked when the recording is made.
-        camera: The camera.
     """
 
     def make() -> Callable[[Any], None]:

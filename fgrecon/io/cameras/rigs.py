@@ -54,7 +54,6 @@ def nuscenes_camera(tables: NuScenesTables, image: str | None, name: str | None)
     taken for OpenCV's coefficients.
 
     Args:
-        tables: The tables.
         image: File name of the image, or None.
         name: Channel, such as CAM_FRONT, or None.
 

@@ -80,7 +80,6 @@ def read_columns(path: Path, columns: Sequence[str] | None = None) -> Columns:
     """A feather or Parquet file, by its ending.
 
     Args:
-        path: The file.
         columns: Those that are read; None for all.
 
     Raises:

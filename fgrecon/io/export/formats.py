@@ -75,7 +75,6 @@ def check_format(path: str | Path, kind: str | None = None) -> str:
     """The kind of file.
 
     Args:
-        path: The file.
         kind: One of `KINDS`, or None for what the ending says.
 
     Raises:

@@ -31,7 +31,6 @@ def read_any_keypoints(
     """Read a file of keypoints: fgrecon's own JSON, that of COCO, networks or annotation tools, or one that is no JSON.
 
     Args:
-        path: The file.
         category: The category whose keypoints are wanted.
         names: What is known of the file's names, where neither the file nor a shipped scheme says it; see `NamesLike`.
         image: Name of a photograph: of a file of several, only its vehicles are wanted.

@@ -41,7 +41,6 @@ def read_anchors(path: Path, child: Isolated | None = None) -> list[AnchoredObje
     """The objects of a file with their anchors, none where an object has none.
 
     Args:
-        path: The file.
         child: The process to decode it in, since damaged files can kill SciPy's; None starts one.
 
     Raises:

@@ -33,7 +33,6 @@ def keypoint_records(path: Path, category: Category) -> list[Any]:
     """The vehicles of a file of any format, or of a track; of COCO's annotations the error where one is malformed.
 
     Args:
-        path: The file.
         category: The category whose keypoints are wanted.
 
     Raises:

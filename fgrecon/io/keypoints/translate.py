@@ -25,7 +25,6 @@ def translated(
 
     Args:
         record: The instance; its points by name, or in an order that is the user's, the category's or a scheme's.
-        category: The category.
         names: What the user says of the names, or None.
         where: Put in front of every field that an error names.
 

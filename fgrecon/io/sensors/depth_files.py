@@ -38,7 +38,6 @@ def read_depth(path: str | Path, per_metre: float | None = None) -> Array:
     """(H, W) depths in metres, NaN where nothing was measured.
 
     Args:
-        path: The file.
         per_metre: How many of the file's units a metre is: 1000 where it has millimetres. None: metres, and 256 in
             PNG files.
 

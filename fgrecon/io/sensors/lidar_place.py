@@ -21,8 +21,6 @@ def lidar_place(cloud: Path, image: Path, camera: CameraSource, pose: Path | Non
 
     Args:
         cloud: The scan's file.
-        image: The image's file.
-        camera: What is given of the camera.
         pose: A file with the motion from the LiDAR's frame to the camera's, as `read_pose` takes it; or None.
 
     Raises:

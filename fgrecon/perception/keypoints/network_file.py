@@ -141,7 +141,6 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[
     Args:
         arrays: By name.
         shapes: Of the network's arrays.
-        path: Their file.
 
     Raises:
         InvalidInputError: Some are missing, too many, of another size, or not finite.

@@ -105,7 +105,6 @@ def marginals_of(
     """What is known of a graph's variables at its minimum; None where it does not determine them.
 
     Args:
-        graph: The graph.
         values: Its minimum.
         weights: Weights of each observation there.
         selected: Keys of the variables that are needed by one factorisation; None for all, of a large graph by
@@ -184,7 +183,6 @@ def read_covariances(
 
     Args:
         part: The observation's part of the graph, with the pose as a variable.
-        weights: Its weights.
         values: The graph's minimum.
         marginals: Its marginals there.
         shapes: Covariances of the vehicles' shapes so far, by number: a vehicle is in many images.

@@ -88,7 +88,6 @@ class ObservationPart:
         """Prepare the part.
 
         Args:
-            problem: What is given.
             vehicle: The vehicle's part of the same graph.
             pose: camera_T_object, the constant where it is not free.
             pose_free: Whether the pose is a variable.

@@ -27,7 +27,6 @@ def graph_factors(graph: Graph, weights: Sequence[Weights]) -> tuple[GraphFactor
     which would fill the picture, observation by observation.
 
     Args:
-        graph: The graph.
         weights: Weights of each observation.
     """
     records: list[GraphFactor] = []
@@ -69,7 +68,6 @@ def iterations(stages: Sequence[SolvedStage], index: int, *, alone: bool) -> tup
     """Every step, as the observation at an index saw it.
 
     Args:
-        stages: The stages.
         index: Which observation.
         alone: Whether it is the only one, and its energies hold the terms of the whole.
     """

@@ -33,7 +33,6 @@ class SharedDepths:
         """Number the maps of each image in the order of its observations.
 
         Args:
-            observations: The observations.
             free: Whether what they share are variables at all.
         """
         self.maps: dict[int, ScaledDepth] = {}

@@ -61,7 +61,6 @@ class VehiclePart:
 
         Args:
             model: The prepared prior.
-            options: Settings.
             number: Number of the vehicle in the keys.
             held: Lambda (N,) and offsets (K, 3) where the shape is a constant.
             of_fleet: Whether the prior on lambda is about the mean of a fleet S, which is a variable of the graph.

@@ -88,7 +88,6 @@ def at_azimuths(
 
     Args:
         box: (4,) 2D box, pixels.
-        camera: Camera.
         model: Prepared prior.
         ground: Its normal is the vehicle's down axis; without it the camera is taken to be level.
         azimuths: (H,) radians.

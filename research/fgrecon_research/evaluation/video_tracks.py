@@ -149,7 +149,6 @@ def follow_boxes(
 
     Args:
         frames: Those of `fgrecon.calibration.labelled_frames.score_frames`.
-        drives: The drives that they are of.
         setups: What each drive is reconstructed with, by its name.
         forget_ids: Whether the vehicles are given ids anew, by association.
         estimate_motion: Whether to follow with the camera's motion as well, which all images between the first and the
