@@ -131,4 +131,4 @@ def test_a_folder_of_results_has_one_content():
 
 @pytest.mark.parametrize("page", sorted((REPOSITORY / "docs/how-to").glob("*.md")), ids=name_of)
 def test_a_guide_is_one_task(page):
-    assert len(page.read_text(encoding="utf-8").split()) <= 500  # 400 is the rule; a section more is no fault yet
+    assert len(page.read_text(encoding="utf-8").split()) <= 400
