@@ -9,7 +9,7 @@ A vehicle's first frame gives what `fgrecon.reconstruct` gives.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -254,13 +254,18 @@ class Tracker:
         return dict(zip(found, coupled, strict=True)), refused
 
     @single_threaded
-    def smooth(self) -> dict[int, Sequence[VehicleEstimate]]:
+    def smooth(self, vehicles: Iterable[int] | None = None) -> dict[int, Sequence[VehicleEstimate]]:
         """The estimates of all frames that are kept, by all of them; by id, in the order of time.
 
         Those of a vehicle are made when they are first looked at, by what was known when this was called.
+
+        Args:
+            vehicles: Their ids, of which those that are not there have none; None for all.
         """
         with self._one_call:
             tracks = dict(self._tracks)
+        if vehicles is not None:
+            tracks = {name: tracks[name] for name in vehicles if name in tracks}
         pasts = {name: [*track.vehicle.past] for name, track in tracks.items()}
         for frames in pasts.values():
             frames[0] = replace(frames[0], step=None)

@@ -59,6 +59,7 @@ class FrameStore(Sequence[TrackedFrame]):
         self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  # closed with the store
         weakref.finalize(self, self._file.close)
         self._places: list[tuple[int, dict[int, int]]] = []  # in the file: of a frame, and of its estimates by id
+        self._at: dict[float, int] = {}  # frames with estimates, by their time
         self._shared: dict[int, Any] = {}
         self._last: TrackedFrame | None = None
         for frame in frames:
@@ -73,12 +74,15 @@ class FrameStore(Sequence[TrackedFrame]):
         self._places.append((self._write(replace(frame, estimates={})), {}))
         for identity, estimate in frame.estimates.items():
             self._keep(len(self) - 1, identity, estimate)
+            self._at[frame.time] = len(self) - 1
         self._last = frame
 
-    def put(self, index: int, identity: int, estimate: VehicleEstimate) -> None:
-        """Let an estimate take the place of a frame's estimate of the same vehicle."""
-        self._keep(index, identity, estimate)
-        self._last = None
+    def put(self, identity: int, estimate: VehicleEstimate) -> None:
+        """Let an estimate take the place of that of the same vehicle and time, if there is one."""
+        index = self._at.get(estimate.time)
+        if index is not None and identity in self.heads[index].found:
+            self._keep(index, identity, estimate)
+            self._last = None if index == len(self) - 1 else self._last
 
     def _keep(self, index: int, identity: int, estimate: VehicleEstimate) -> None:
         self._places[index][1][identity] = self._write(estimate)

@@ -87,6 +87,13 @@ class Given:
         return max((identity for identity in ids if identity is not None), default=-1)
 
     @property
+    def ends(self) -> dict[int, int]:
+        """Number of the last frame of each id, the earliest first."""
+        last = {s.identity: number for number in sorted(self.vehicles) for s in self.vehicles[number]}
+        known = ((identity, number) for identity, number in last.items() if identity is not None)
+        return dict(sorted(known, key=lambda end: end[1]))
+
+    @property
     def association(self) -> AssociationSettings:
         """How those without an id are followed: each begins a track, since scores of boxes are of any scale."""
         return AssociationSettings(min_birth_score=-np.inf, birth_observations=1)

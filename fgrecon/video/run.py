@@ -27,6 +27,7 @@ import numpy as np
 from fgrecon.batch.parts import RECORDS, Parts, begin, claimed, refuse_batch
 from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
 from fgrecon.core.text import counted, whole_text
+from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.frames import FrameSource, ImageFrames, SourceFrame
 from fgrecon.video.coverage import check_coverage, coverage_warnings, planned_frames
 from fgrecon.video.follow import Follower
@@ -111,15 +112,21 @@ class VideoRun:
         Args:
             follower: What has followed the vehicles.
         """
-        index = {head.time: i for i, head in enumerate(self.frames.heads) if head.found}
         smoothed = dict(follower.tracker.smooth())
         while smoothed:  # and no vehicle's are kept
-            identity, estimates = smoothed.popitem()
-            for one in estimates:
-                i = index.get(one.time)
-                if i is not None and identity in self.frames.heads[i].found:
-                    self.frames.put(i, identity, follower.over_world(one))
+            self.put(follower, *smoothed.popitem())
         self.smoothed = True
+
+    def put(self, follower: Follower, identity: int, estimates: Sequence[VehicleEstimate]) -> None:
+        """Put a vehicle's estimates in the place of the first ones.
+
+        Args:
+            follower: What has followed the vehicles.
+            identity: Of the vehicle.
+            estimates: In the tracker's world.
+        """
+        for one in estimates:
+            self.frames.put(identity, follower.over_world(one))
 
 
 def run_video(

@@ -6,6 +6,7 @@ VideoRequest ---- prepare_video (read, check, find the camera) ---- VideoJob ---
 from __future__ import annotations
 
 import warnings
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -337,13 +338,13 @@ def track_video(
     smoothing: Callable[[VideoRun], None] = lambda run: None,  # noqa: ARG005 - of interest to progress alone
     window_graph: bool = False,
 ) -> VideoRun:
-    """Look at the frames, follow the vehicles, smooth.
+    """Look at the frames, follow the vehicles, and smooth the estimates of each when it has gone.
 
     Args:
         job: What is to be done.
         warn: Called with what is doubtful of the input.
         go_on: Called after each frame, as that of `fgrecon.video.run_video`.
-        smoothing: Called when the vehicles are smoothed next.
+        smoothing: Called when the vehicles that have not gone are smoothed next.
         window_graph: Whether frames keep the factor graph of the tracker's window, for a viewer.
 
     Raises:
@@ -353,10 +354,10 @@ def track_video(
     arguments = job.settings.arguments()
     ground = arguments.pop("ground")
     tracker = SingleImageTracker(**arguments) if request.alone else Tracker(**arguments, shared_ground=request.together)
-    forget = tracker.forget if request.online or request.alone else None  # nothing smooths their past
+    gone: list[int] = []
     ids: dict[str, Any] = {} if given is None else {"settings": given.association, "first": given.largest_id + 1}
     follower = Follower(
-        *(tracker, GatedAssociation(**ids, given_up=forget), job.camera),
+        *(tracker, GatedAssociation(**ids, given_up=gone.append), job.camera),
         ground=ground,
         poses=job.poses,
         moving=job.moving,
@@ -373,7 +374,7 @@ def track_video(
             settings=job.records_depend_on,
             motion=MotionEstimator(job.camera, ground) if job.moving and ground is not None else None,
             online=True,
-            go_on=go_on,
+            go_on=_settling(job, follower, gone, go_on),
         )
     if not (request.online or request.alone):
         smoothing(run)
@@ -383,6 +384,34 @@ def track_video(
     for line in run.warnings + _keypoint_warnings(job, run):
         warn(line)
     return run
+
+
+def _settling(
+    job: VideoJob, follower: Follower, gone: list[int], go_on: Callable[[VideoRun, SourceFrame | None], bool]
+) -> Callable[[VideoRun, SourceFrame | None], bool]:
+    """The same to be called after each frame; vehicles that have gone for good are smoothed, and forgotten.
+
+    Args:
+        job: What is to be done.
+        follower: What follows the vehicles.
+        gone: Ids of those that have gone; it is emptied. Given ids go with their last frame.
+        go_on: Called next.
+    """
+    ends = deque(({} if job.given is None else job.given.ends).items())
+    tracker, online = follower.tracker, job.request.online
+
+    def each(run: VideoRun, frame: SourceFrame | None) -> bool:
+        while ends and ends[0][1] <= run.frames.heads[-1].number:
+            gone.append(ends.popleft()[0])
+        while gone:
+            identity = gone.pop()
+            if isinstance(tracker, Tracker) and not online:
+                run.put(follower, identity, tracker.smooth([identity]).get(identity, ()))
+            if isinstance(tracker, Tracker | SingleImageTracker):
+                tracker.forget(identity)
+        return go_on(run, frame)
+
+    return each
 
 
 @contextmanager

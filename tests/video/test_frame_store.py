@@ -4,6 +4,7 @@ import errno
 import os
 import pickle
 import types
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,10 +57,12 @@ def test_frames_come_back(frames, tmp_path):
 
 def test_an_estimate_is_replaced(frames):
     store = FrameStore(frames)
-    store.put(2, 0, frames[0].estimates[0])
-    assert store[2].estimates[0].time == store[-1].estimates[0].time == 0.0
+    other = replace(frames[0].estimates[0], time=frames[2].time, frames=17)
+    for identity, one in ((0, other), (0, replace(other, time=7.0)), (7, other)):  # the last two are of no estimate
+        store.put(identity, one)
+    assert store[2].estimates[0].frames == store[-1].estimates[0].frames == 17
     assert [*store[2].estimates] == [0, 1]
-    assert store[2].estimates[1].time == pytest.approx(0.2)
+    assert [frame.estimates[1].frames for frame in store] == [frame.estimates[1].frames for frame in frames]
     assert isinstance(store.heads[2].found[0], Status)
 
 

@@ -37,7 +37,9 @@ def test_kittis_labels_are_boxes(tmp_path):
     assert (known.kind, unknown.kind) == ("Car", "Van")
     assert known.box.tolist() == [20.0, 30.0, 110.0, 80.0]
     assert (given.cuboids, given.complete, given.largest_id) == (True, False, 7)
+    assert given.ends == {7: 2}
     forgotten = read_given(path, CAR14, forget_ids=True)
+    assert forgotten.ends == {}
     assert [s.identity for s in forgotten.vehicles[2]] == [None, None]
     assert forgotten.largest_id == -1
 
