@@ -49,22 +49,27 @@ class FrameDetector:
         Raises:
             InvalidInputError: A detector returns something else than its protocol says.
         """
-        if frame.image is None:
-            kept = () if frame.other_size or self.given is None else self.given.get(frame.number, ())
-            detections = tuple(sighting for sighting in kept if sighting.observation is not None)
-            return FrameRecord(frame.number, frame.time, frame.name, frame.problem, detections)
-        sightings = self._sightings(frame.number, frame.image)
-        return FrameRecord(frame.number, frame.time, frame.name, None, tuple(sightings))
+        return self.record(frame, self.vehicles(frame))
 
-    def _sightings(self, number: int, image: NDArray[np.uint8]) -> list[Sighting]:
+    def vehicles(self, frame: SourceFrame) -> Sequence[Sighting]:
+        """The vehicles of a frame, keypoints of those alone for which they were given; the arguments are the call's."""
         if self.given is not None:
-            sightings = list(self.given.get(number, ()))
-        else:
-            assert self._vehicles is not None
-            vehicles = find_vehicles(self._vehicles, image)
-            kinds = vehicles.kinds or [None] * len(vehicles)
-            each = zip(vehicles.boxes, vehicles.scores, kinds, strict=True)
-            sightings = [Sighting(box, float(s), None, None, kind) for box, s, kind in each if large_enough(box)]
+            return () if frame.other_size else self.given.get(frame.number, ())
+        if frame.image is None:
+            return ()
+        assert self._vehicles is not None
+        vehicles = find_vehicles(self._vehicles, frame.image)
+        kinds = vehicles.kinds or [None] * len(vehicles)
+        each = zip(vehicles.boxes, vehicles.scores, kinds, strict=True)
+        return [Sighting(box, float(s), None, None, kind) for box, s, kind in each if large_enough(box)]
+
+    def record(self, frame: SourceFrame, vehicles: Sequence[Sighting]) -> FrameRecord:
+        """What the frame shows, by its `vehicles`."""
+        image = frame.image
+        if image is None:
+            kept = tuple(sighting for sighting in vehicles if sighting.observation is not None)
+            return FrameRecord(frame.number, frame.time, frame.name, frame.problem, kept)
+        sightings = [*vehicles]
         limits = np.array([image.shape[1], image.shape[0]] * 2) - 1.0
         bare = [place for place, s in enumerate(sightings) if s.observation is None and _usable(s.box, image, limits)]
         boxes = np.array([np.clip(sightings[place].box, 0.0, limits) for place in bare]).reshape(-1, 4)
@@ -74,7 +79,7 @@ class FrameDetector:
             for place, box, detection in zip(bare, boxes, detections, strict=True):
                 one = sightings[place]
                 sightings[place] = replace(one, box=box, observation=replace(detection.evidence, box=box))
-        return sightings
+        return FrameRecord(frame.number, frame.time, frame.name, None, tuple(sightings))
 
 
 def _usable(box: NDArray[np.float64], image: NDArray[np.uint8], limits: NDArray[np.float64]) -> bool:

@@ -37,6 +37,7 @@ from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import (
     FORMAT,
     FrameRecord,
+    Sighting,
     from_row,
     motion_from_row,
     motion_schema,
@@ -205,6 +206,10 @@ class _Looked:
     moved: bool = False  # whether its motion is
 
 
+_Boxed = tuple[SourceFrame, FrameRecord | None, Sequence[Sighting] | None]
+"""A frame, what is stored of it, and its vehicles where nothing is."""
+
+
 class _Records:
     """What is known of the frames: what runs before this one have stored, and what this one adds to it.
 
@@ -264,7 +269,8 @@ class _Records:
         # The motion since the last image needs that image.
         self._reading = self._source.read(last if moving is None or before is None else before.number - 1)
         frames = made_ahead(self._noted(self._reading), self._most, "frames")
-        looked = made_ahead(self._looked(frames, last, len(whole)), self._most, "networks")
+        boxed = made_ahead(self._boxed(frames, last, len(whole)), self._most, "boxes")
+        looked = made_ahead(self._looked(boxed), self._most, "keypoints")
         moved = looked if moving is None else self._moved_to(looked, moving, before)
         self._stages = made_ahead(moved, 0 if moving is None else self._most, "motion")
         for one in self._stages:
@@ -281,17 +287,23 @@ class _Records:
             self._last_read = frame.number
             yield frame
 
-    def _looked(self, frames: Generator[SourceFrame], last: int | None, whole: int) -> Iterator[_Looked]:
-        """Frames with what they show; those up to the last one that is known already without."""
+    def _boxed(self, frames: Generator[SourceFrame], last: int | None, whole: int) -> Iterator[_Boxed]:
+        """Frames with their vehicles, or what they show where that is stored; those up to the last one without."""
         known = {record.number: record for record in self.stored[whole:]}
         with closing(frames):
             for frame in frames:
-                if last is not None and frame.number <= last:
-                    yield _Looked(frame, None)
-                elif frame.number in known:
-                    yield _Looked(frame, known[frame.number])
+                before = last is not None and frame.number <= last
+                seen = not before and frame.number not in known
+                yield frame, known.get(frame.number), self._look.vehicles(frame) if seen else None
+
+    def _looked(self, boxed: Generator[_Boxed]) -> Iterator[_Looked]:
+        """Frames with what they show."""
+        with closing(boxed):
+            for frame, record, vehicles in boxed:
+                if vehicles is None:
+                    yield _Looked(frame, record)
                 else:
-                    yield _Looked(frame, self._look(frame), seen=True)
+                    yield _Looked(frame, self._look.record(frame, vehicles), seen=True)
 
     def _moved_to(
         self, looked: Generator[_Looked], moving: MotionEstimator, before: FrameRecord | None

@@ -1,6 +1,6 @@
 """Stages of a run side by side: each in a thread of its own, and no more than some frames ahead of the next.
 
-    frames read ---- queue ---- networks ---- queue ---- the camera's motion ---- queue ---- who takes them (solves)
+    frames -- queue -- boxes -- queue -- keypoints -- queue -- the camera's motion -- queue -- who takes them (solves)
 
 Reading, OpenCV and the networks' runtimes let other threads of Python run meanwhile. Every stage takes frames in
 order, so that results are those of one stage after the other.

@@ -28,8 +28,8 @@ import fgrecon.batch.parts as parts
 from fgrecon.video.frame_detector import FrameDetector
 from fgrecon.cli.main import main
 parts._ROWS = 1
-look = FrameDetector.__call__
-FrameDetector.__call__ = lambda self, frame: (time.sleep(0.15), look(self, frame))[1]
+look = FrameDetector.vehicles
+FrameDetector.vehicles = lambda self, frame: (time.sleep(0.15), look(self, frame))[1]
 main()
 """
 

@@ -42,9 +42,9 @@ class Counting(FrameDetector):
 
     looked = 0
 
-    def __call__(self, frame):
+    def record(self, frame, vehicles):
         self.looked += 1
-        return super().__call__(frame)
+        return super().record(frame, vehicles)
 
 
 @pytest.fixture(scope="module")
@@ -117,15 +117,20 @@ def test_damaged_records_are_made_again(drive, tmp_path, monkeypatch, damaged, f
     assert run(drive, tmp_path / "out", moving=True)[0].before == 8
 
 
-@pytest.mark.parametrize("stage", ["networks", "motion", "follow"])
+@pytest.mark.parametrize("stage", ["boxes", "keypoints", "motion", "follow"])
 def test_an_error_of_a_stage_is_that_of_the_run(drive, tmp_path, stage):
     """It comes at its frame, what was looked at before is stored, and no thread is left."""
 
     class Failing(Counting):
-        def __call__(self, frame):
-            if stage == "networks" and frame.number == 8:
+        def vehicles(self, frame):
+            if stage == "boxes" and frame.number == 8:
                 raise ZeroDivisionError(stage)
-            return super().__call__(frame)
+            return super().vehicles(frame)
+
+        def record(self, frame, vehicles):
+            if stage == "keypoints" and frame.number == 8:
+                raise ZeroDivisionError(stage)
+            return super().record(frame, vehicles)
 
     class Lost(MotionEstimator):
         def __call__(self, frame, sightings):
