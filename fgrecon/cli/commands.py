@@ -10,10 +10,12 @@ import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from functools import wraps
-from typing import Any, get_type_hints
+from importlib import import_module
+from typing import Any, ClassVar, cast, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
 
 from fgrecon.cli.outputs import check_apart
 from fgrecon.core.errors import MissingPackageError
@@ -33,17 +35,48 @@ def new_group(name: str, text: str, of_research: Sequence[str]) -> typer.Typer:
         of_research: Names of the commands that `fgrecon-research` adds.
     """
 
-    class Group(TyperGroup):
+    class Group(_Group):
+        later: ClassVar[dict[str, str]] = {}
+
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-            if not self.commands:
+            there = self.list_commands(ctx)
+            if not there:
                 raise MissingPackageError(RESEARCH, f"fgrecon {name}")
-            if args and args[0] in of_research and args[0] not in self.commands:
+            if args and args[0] in of_research and args[0] not in there:
                 raise MissingPackageError(RESEARCH, f"fgrecon {name} {args[0]}")
             return super().parse_args(ctx, args)
 
     group = typer.Typer(cls=Group, help=text, no_args_is_help=True)
     group.callback()(lambda: None)
     return group
+
+
+class _Group(TyperGroup):
+    """Commands, some of which are imported when they are looked up."""
+
+    later: ClassVar[dict[str, str]]  # where those are, `module:function` by name
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return [*super().list_commands(ctx), *(name for name in self.later if name not in self.commands)]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name in self.later and cmd_name not in self.commands:
+            module, _, function = self.later[cmd_name].partition(":")
+            alone = typer.Typer(add_completion=False)
+            add_command(alone, cmd_name, getattr(import_module(module), function))
+            self.commands[cmd_name] = get_command(alone)
+        return super().get_command(ctx, cmd_name)
+
+
+def add_later(group: typer.Typer, name: str, place: str) -> None:
+    """Add a command that is imported when it runs or its help is shown.
+
+    Args:
+        group: What `new_group` made.
+        name: What the user types.
+        place: Of the function that `add_command` takes, `module:function`.
+    """
+    cast("type[_Group]", group.info.cls).later[name] = place
 
 
 def add_command(

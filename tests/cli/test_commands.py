@@ -21,7 +21,8 @@ ROOT = get_command(app)
 
 def commands(group=ROOT, path=()):
     """Path and command of everything that can be run."""
-    for name, command in group.commands.items():
+    for name in group.list_commands(None):
+        command = group.get_command(None, name)
         if hasattr(command, "commands"):
             yield from commands(command, (*path, name))
         else:

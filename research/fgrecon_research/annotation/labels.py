@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -87,8 +88,6 @@ def silhouette(car: Annotation) -> tuple[Array, ...]:
     Returns:
         Polygons (N, 2) in pixels; none where nothing of it is seen. Holes are filled.
     """
-    import cv2
-
     x1, y1, x2, y2 = car.box
     side = _AROUND * max(x2 - x1, y2 - y1)
     corner = np.array([(x1 + x2 - side) / 2, (y1 + y2 - side) / 2])

@@ -16,7 +16,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import cv2
 import numpy as np
+import poselib
 from numpy.typing import NDArray
 
 from fgrecon.calibration.setup import SceneKnowledge
@@ -24,9 +26,13 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.observation import Observation
-from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.options import BoxModel, Options
+from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.robust import RobustStrategy, StrategyName, strategy
 from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.vehicle_class import VehicleClass
+from fgrecon.solve.pipeline import reconstruct
+from fgrecon.solve.proposals.aspnp import aspnp
 from fgrecon.solve.vehicle.conditioning import of_fleet
 from fgrecon.solve.vehicle.model import prepare
 
@@ -119,8 +125,6 @@ def _use_confident(observation: Observation) -> NDArray[np.intp]:
 
 def _opencv(flag: str, points: Callable[[Observation], NDArray[np.intp]]) -> Callable[[], PnP]:
     def load() -> PnP:
-        import cv2
-
         def solve(shape: Shape, observation: Observation, camera: Camera) -> NDArray[np.float64]:
             used = _enough(points(observation))
             found, rotation, translation = cv2.solvePnP(
@@ -136,8 +140,6 @@ def _opencv(flag: str, points: Callable[[Observation], NDArray[np.intp]]) -> Cal
 
 
 def _poselib() -> PnP:
-    import poselib
-
     def solve(shape: Shape, observation: Observation, camera: Camera) -> NDArray[np.float64]:
         used = _enough(_use_all(observation))
         # normalised by K, so that a skewed camera is no special case; PoseLib takes thresholds in pixels of its camera
@@ -154,8 +156,6 @@ def _poselib() -> PnP:
 
 
 def _aspnp() -> PnP:
-    from fgrecon.solve.proposals.aspnp import aspnp
-
     def solve(shape: Shape, observation: Observation, camera: Camera) -> NDArray[np.float64]:
         used = _enough(_use_all(observation))
         return aspnp(shape[used], camera.rays(observation.keypoints[used])[:, :2])[0].camera_T_object
@@ -202,10 +202,6 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
     def result_of(
         scene: SceneKnowledge, observation: Observation, camera: Camera, *, keep_history: bool
     ) -> Reconstruction:
-        from fgrecon.core.options import BoxModel, Options
-        from fgrecon.core.vehicle_class import VehicleClass
-        from fgrecon.solve.pipeline import reconstruct
-
         # KITTI's 2D boxes are its 3D boxes projected, to within 1 % of their size.
         strategy = robust or RobustStrategy()
         return reconstruct(
@@ -219,9 +215,6 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
         )
 
     def bind(scene: SceneKnowledge) -> Solver:
-        import fgrecon.solve.pipeline  # noqa: F401 - slow: not while the time is measured
-        from fgrecon.core.reconstruction import Status
-
         def solve(observation: Observation, camera: Camera) -> Estimate:
             result = result_of(scene, observation, camera, keep_history=False)
             if result.status is Status.FAILED:

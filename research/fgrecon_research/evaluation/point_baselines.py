@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from fgrecon.calibration.labelled_boxes import BoxOutcome
 from fgrecon.calibration.labelled_frames import Looked, LookedFrame
@@ -91,8 +92,6 @@ def fit_cuboid(points: Array, location: Array, yaw: float, size: Array) -> tuple
         yaw: From which, radians.
         size: (3,) length, width and height.
     """
-    from scipy.optimize import least_squares
-
     half = np.array([size[0], size[2], size[1]]) / 2.0  # along the object's x, y, z
 
     def distances(state: Array) -> Array:

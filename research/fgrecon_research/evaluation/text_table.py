@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
+
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table
 
 from fgrecon.core.text import markdown_row
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,6 @@ class TextTable:
 
     def shown(self) -> Table:
         """As the terminal shows it: where it is narrow numbers are wrapped, never cut."""
-        from rich.box import SIMPLE_HEAD
-        from rich.markup import escape
-        from rich.table import Table
-
         table = Table(box=SIMPLE_HEAD, pad_edge=False, title=self.title or None)
         for number, heading in enumerate(self.headings):
             is_text = number < self.texts

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
@@ -89,8 +90,6 @@ def residuals(vehicle: PosedVehicle, prior: ShapePrior) -> Residuals:
     Raises:
         InvalidInputError: The prior has no surface.
     """
-    from scipy.optimize import least_squares
-
     scaled = prior.for_fleet(SizePrior("label", vehicle.box_size, _SIZE_SIGMA * vehicle.box_size))
     if scaled.surface is None:
         raise InvalidInputError("prior.surface", None, "Use a prior with a surface.")

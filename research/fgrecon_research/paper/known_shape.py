@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -157,8 +158,6 @@ def _score_car(car: MarkedCar, camera: Camera, variants: Sequence[tuple[ShapePri
 
 
 def _sqpnp(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Array, Array]]:
-    import cv2
-
     used = np.isfinite(car.keypoints[:, 0])
     found, turn, origin = cv2.solvePnP(
         prior.mean[used], car.keypoints[used], camera.matrix, None, flags=cv2.SOLVEPNP_SQPNP

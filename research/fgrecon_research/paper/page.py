@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
 from fgrecon_research.evaluation import report
 from fgrecon_research.evaluation.bootstrap import Interval
 from fgrecon_research.evaluation.text_table import TextTable
@@ -53,8 +55,6 @@ def markdown(page: Page) -> str:
 
 def html(page: Page, pictures: Mapping[str, str] | None = None) -> str:
     """One self-contained page."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     environment = Environment(
         loader=PackageLoader("fgrecon_research.paper", ""),
         autoescape=True,

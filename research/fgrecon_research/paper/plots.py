@@ -6,6 +6,8 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
 
 from fgrecon.core.category import Category
@@ -104,8 +106,6 @@ def per_part_plot(shares: Mapping[str, np.ndarray], category: Category) -> str:
 
 def known_shape_plot(scores: KnownShapeScores) -> str:
     """Distribution of the errors on cars of known shape: SQPnP, fgrecon, and fgrecon given the size."""
-    import matplotlib.pyplot as plt
-
     figure, panels = plt.subplots(1, 3, figsize=(9.6, 3.2), layout="constrained")
     shown = ("sqpnp", "joint", "joint+others", "sqpnp+size", "joint+size", "joint+size+others")
     names = ("SQPnP", "fgrecon", "fgrecon,\nothers", "SQPnP,\nsize", "fgrecon,\nsize", "fgrecon,\nboth")
@@ -149,8 +149,6 @@ def noise_plot(network: Sequence[Residuals], scores: Scores) -> str:
 
 
 def _figure(width: float, height: float) -> tuple[Any, Any]:
-    import matplotlib.pyplot as plt
-
     figure, axes = plt.subplots(figsize=(width, height), layout="constrained")
     _plain(axes)
     return figure, axes
@@ -170,9 +168,6 @@ def _shade(position: int) -> str:
 
 def svg_text(figure: Any) -> str:
     """The figure as an SVG element; the same figure gives the same text."""
-    import matplotlib as mpl
-    import matplotlib.pyplot as plt
-
     buffer = io.StringIO()
     with mpl.rc_context({"svg.hashsalt": "fgrecon", "svg.fonttype": "none", "font.family": "sans-serif"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
 from fgrecon.core.coverage import LEVELS, Coverage, Reliability
 from fgrecon.viz import style
 from fgrecon.viz.marks import unit
@@ -26,9 +29,6 @@ def calibration_picture(regions: Sequence[Coverage], facing: Reliability | None)
     Returns:
         A `matplotlib.figure.Figure` with an Agg canvas; see `fgrecon.viz.save_picture`.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=_SIZE, facecolor=unit(style.PAPER), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from fgrecon.calibration.labelled_drives import check_names
 from fgrecon.cli.options import JsonOption
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import counted
+from fgrecon.io.datasets import has_drive, open_drive, submitted_boxes
+from fgrecon.io.kitti_drives import Drive
+from fgrecon.io.kitti_files import Objects
+from fgrecon.io.nuscenes_detections import is_submission
 from fgrecon_research.cli.evaluate.data_options import MarkdownOption
-
-if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from collections.abc import Sequence
-
-    from fgrecon.io.kitti_drives import Drive
-    from fgrecon.io.kitti_files import Objects
+from fgrecon_research.evaluation.boxes3d import read_boxes_of_drives, score_drives
+from fgrecon_research.evaluation.boxes_summary import document, precisions_of_drives, summarise, tables
 
 
 def boxes_command(
@@ -58,10 +61,6 @@ def boxes_command(
 
     Exit code 1: no labelled vehicle got a box.
     """
-    from fgrecon.core.errors import InvalidInputError
-    from fgrecon_research.evaluation.boxes3d import score_drives
-    from fgrecon_research.evaluation.boxes_summary import document, precisions_of_drives, summarise, tables
-
     check_outputs(json_out, markdown)
     screen = terminal.screen(json_out)
     drives, places, texts = _drives(folder, results)
@@ -100,10 +99,6 @@ def boxes_command(
 
 def _drives(folder: Path, following: Sequence[str]) -> tuple[list[Drive], list[Path], list[str]]:
     """The drives, where they are, and the texts behind them."""
-    from fgrecon.calibration.labelled_drives import check_names
-    from fgrecon.core.errors import InvalidInputError
-    from fgrecon.io.datasets import has_drive, open_drive
-
     more = list(takewhile(has_drive, map(Path, following)))
     if len(more) == len(following):
         raise InvalidInputError("results", "none", "Give boxes behind the drives: [NAME=]RESULTS.")
@@ -117,11 +112,6 @@ def _sources(
     texts: Sequence[str], drives: Sequence[Drive], places: Sequence[Path]
 ) -> dict[str, dict[str, dict[int, Objects]]]:
     """Boxes by the source's name, the drive's and the frame."""
-    from fgrecon.core.errors import InvalidInputError
-    from fgrecon.io.datasets import submitted_boxes
-    from fgrecon.io.nuscenes_detections import is_submission
-    from fgrecon_research.evaluation.boxes3d import read_boxes_of_drives
-
     sources: dict[str, dict[str, dict[int, Objects]]] = {}
     for text in texts:
         name, named, place = text.partition("=")

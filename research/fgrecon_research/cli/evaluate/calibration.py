@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from fgrecon.calibration.labelled_boxes import SYSTEM
 from fgrecon.cli.options import DriveOptions, DrivesArgument, JsonOption, LabelledScene
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.coverage import SIGMAS
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.viz import save_picture
 from fgrecon_research.cli.evaluate.followed_drives import score_drives
-
-if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from fgrecon_research.evaluation.calibration import Calibration
-    from fgrecon_research.evaluation.text_table import TextTable
+from fgrecon_research.evaluation.calibration import (
+    Calibration,
+    calibrate,
+    calibrate_boxes,
+    calibration_document,
+    judge_simulated,
+)
+from fgrecon_research.evaluation.text_table import TextTable
+from fgrecon_research.evaluation.video_tracks import BATCH, ONLINE
+from fgrecon_research.viz.calibration_picture import calibration_picture
 
 _SIMULATION = "simulation"
 
@@ -46,16 +56,6 @@ def calibration_command(
 
     Exit code 1: no vehicle could be reconstructed.
     """
-    from fgrecon.calibration.labelled_boxes import SYSTEM
-    from fgrecon.core.errors import InvalidInputError
-    from fgrecon_research.evaluation.calibration import (
-        calibrate,
-        calibrate_boxes,
-        calibration_document,
-        judge_simulated,
-    )
-    from fgrecon_research.evaluation.video_tracks import BATCH, ONLINE
-
     check_outputs(json_out, picture=picture)
     screen = terminal.screen(json_out)
     if not folders and not simulated:
@@ -92,9 +92,6 @@ def calibration_command(
     screen.write_json(json.dumps(documents, indent=1, allow_nan=False) + "\n")
     first = next(iter(found.values()))
     if picture is not None:
-        from fgrecon.viz import save_picture
-        from fgrecon_research.viz.calibration_picture import calibration_picture
-
         screen.wrote(save_picture(picture, calibration_picture(first.regions, first.facing)))
     if not first.statuses:
         screen.fail("No vehicle could be reconstructed.")
@@ -103,9 +100,6 @@ def calibration_command(
 
 def calibration_tables(method: str, found: Calibration) -> list[TextTable]:
     """Regions of each quantity, and statuses: how many hold what they promise."""
-    from fgrecon.core.coverage import SIGMAS
-    from fgrecon_research.evaluation.text_table import TextTable
-
     kinds = ("claimed", "scaled", "constant")
     heads = [f"{kind} {100 * level:.0f} %" for level in SIGMAS for kind in kinds]
     units = {"yaw": "°", "velocity": " m/s"}
@@ -130,8 +124,6 @@ def calibration_tables(method: str, found: Calibration) -> list[TextTable]:
 
 def _acceptance_table(method: str, found: Calibration) -> TextTable:
     """What it costs and brings to take settled results alone whose facing has some probability at least."""
-    from fgrecon_research.evaluation.text_table import TextTable
-
     heads = [f"{method}: facing at least", "flipped, refused", "right, refused", "converged", "flipped"]
     rows = [
         [

@@ -6,19 +6,19 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from fgrecon.calibration.labelled_drives import ScoredDrives
+from fgrecon.calibration.labelled_frames import Rivals
+from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.cli.options import NOT_GIVEN, DriveOptions, LabelledScene
-from fgrecon.cli.terminal import counting
+from fgrecon.cli.terminal import Screen, counting
 from fgrecon.core.errors import InvalidInputError
-
-if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
-    from fgrecon.calibration.labelled_drives import ScoredDrives
-    from fgrecon.calibration.labelled_frames import Rivals
-    from fgrecon.calibration.setup import SceneKnowledge
-    from fgrecon.cli.terminal import Screen
-    from fgrecon.io.kitti_drives import Drive
-    from fgrecon_research.io.drive_sensors import Sensor
+from fgrecon.io.datasets import open_drive, open_video
+from fgrecon.io.kitti_drives import Drive
+from fgrecon_research.evaluation.methods import select
+from fgrecon_research.evaluation.sensor_methods import OtherMethods, with_points
+from fgrecon_research.evaluation.video_tracks import follow_boxes
+from fgrecon_research.io.drive_sensors import Sensor, with_sensors
 
 
 def score_drives(
@@ -47,12 +47,6 @@ def score_drives(
         InvalidInputError: As `DriveOptions.score` does; there is no method of a name; or the camera's motion is to be
             estimated without a ground.
     """
-    from fgrecon.io.datasets import open_drive, open_video
-    from fgrecon_research.evaluation.methods import select
-    from fgrecon_research.evaluation.sensor_methods import OtherMethods, with_points
-    from fgrecon_research.evaluation.video_tracks import follow_boxes
-    from fgrecon_research.io.drive_sensors import Sensor, with_sensors
-
     select(rivals)  # refuse before the work
     if estimate_motion and labelled.ground == NOT_GIVEN:
         fix = "Give a ground, which tells how far the camera goes, or leave --estimate-motion out."

@@ -5,24 +5,32 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from fgrecon.calibration.setup import Setup
 from fgrecon.cli.options import Delivery, JsonOption, LabelledScene, TogetherOption, TrafficOption, WeightsOption
 from fgrecon.cli.outputs import check_not_over, check_outputs
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel, TrafficSide
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import Options
 from fgrecon.core.text import counted
 from fgrecon.io.files import check_folder
+from fgrecon.io.images import read_image
+from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.simulation.vehicles import yaw_pose
+from fgrecon.viz import SolvedVehicle, contact_sheet, save_picture
+from fgrecon.viz.delivery import recordings_of
+from fgrecon.viz.truth import Truth
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption, MarkdownOption, ResultsOption
-
-if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from fgrecon.calibration.setup import Setup
-    from fgrecon.viz import SolvedVehicle
-    from fgrecon_research.evaluation.kitti_images import Car
-    from fgrecon_research.evaluation.text_table import TextTable
+from fgrecon_research.evaluation import kitti_images
+from fgrecon_research.evaluation.boxes_summary import plain_boxes, tables
+from fgrecon_research.evaluation.kitti_images import Car, score_boxes, summarise
+from fgrecon_research.evaluation.measures import THRESHOLDS
+from fgrecon_research.evaluation.text_table import TextTable
+from fgrecon_research.io.kitti_sets import read_image_set, stated_model, write_results
 
 
 def _folder(what: str, name: str) -> Any:
@@ -82,8 +90,6 @@ class KittiBoxes:
     @property
     def enclose(self) -> BoxModel:
         """What they enclose."""
-        from fgrecon_research.io.kitti_sets import stated_model
-
         stated = stated_model(self.boxes) if self.boxes is not None and self.box_model is None else None
         return self.box_model or stated or BoxModel.CUBOID
 
@@ -113,12 +119,6 @@ def kitti_command(
 
     Exit code 1: no car could be reconstructed.
     """
-    from fgrecon.viz.delivery import recordings_of
-    from fgrecon_research.evaluation import kitti_images
-    from fgrecon_research.evaluation.boxes_summary import plain_boxes, tables
-    from fgrecon_research.evaluation.kitti_images import score_boxes
-    from fgrecon_research.io.kitti_sets import read_image_set, write_results
-
     check_outputs(json_out, markdown, picture=picture)
     delivery.check()
     screen = terminal.screen(json_out)
@@ -164,8 +164,6 @@ def kitti_command(
     wanted = picture is not None or delivery.requested
     sights = _sights(cars, {frame.name: frame.image for frame in frames}) if wanted else []
     if picture is not None and sights:
-        from fgrecon.viz import contact_sheet, save_picture
-
         screen.wrote(save_picture(picture, contact_sheet(sights, columns=5)))
     if delivery.requested:
         delivery.deliver(recordings_of(sights, setup.ground), screen, several=True)
@@ -178,10 +176,6 @@ def _setup(
     boxes: KittiBoxes, labelled: LabelledScene, weights: Path | None, traffic: TrafficSide | None, *, together: bool
 ) -> tuple[Setup, str]:
     """What every car is reconstructed with, and in words where the ground plane comes from."""
-    from fgrecon.calibration.setup import Setup
-    from fgrecon.core.options import Options
-    from fgrecon.perception.keypoints.detect import KeypointCascade
-
     known = labelled.given()
     setup = Setup(
         detector=KeypointCascade(weights),
@@ -196,10 +190,6 @@ def _setup(
 
 
 def _table(cars: list[Car]) -> TextTable:
-    from fgrecon_research.evaluation.kitti_images import summarise
-    from fgrecon_research.evaluation.measures import THRESHOLDS
-    from fgrecon_research.evaluation.text_table import TextTable
-
     rows = []
     for score in summarise(cars):
         shares = [f"{100 * count / score.cars:.1f} ({count})" for count in score.within]
@@ -211,11 +201,6 @@ def _table(cars: list[Car]) -> TextTable:
 
 def _sights(cars: list[Car], images: dict[str, Path]) -> list[SolvedVehicle]:
     """Every car with a result, with its photograph and the labelled box."""
-    from fgrecon.io.images import read_image
-    from fgrecon.simulation.vehicles import yaw_pose
-    from fgrecon.viz import SolvedVehicle
-    from fgrecon.viz.truth import Truth
-
     photographs = {name: read_image(images[name]) for name in {car.frame for car in cars}}
     return [
         SolvedVehicle(

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 import typer
 
+from fgrecon.calibration.labelled_drives import read_folds
 from fgrecon.cli.options import BoxErrorOptions, FoldOption, JsonOption, SceneOptions, WeightsOption
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal, counting
-
-if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from collections.abc import Sequence
-
-    from fgrecon.io.kitti_drives import Drive
-    from fgrecon.io.kitti_files import Objects
-    from fgrecon_research.evaluation.refined import RefinedVehicle
-    from fgrecon_research.evaluation.text_table import TextTable
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import BoxModel, BoxOptions, Options
+from fgrecon.io.datasets import open_drive, submitted_boxes
+from fgrecon.io.kitti_drives import Drive
+from fgrecon.io.kitti_files import Objects
+from fgrecon.io.nuscenes_detections import is_submission
+from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon_research.evaluation.boxes3d import read_boxes
+from fgrecon_research.evaluation.refined import RefinedVehicle, Refinement, compare, document, refine_drive
+from fgrecon_research.evaluation.text_table import TextTable
 
 
 def refine_evaluation_command(
@@ -54,15 +59,6 @@ def refine_evaluation_command(
 
     Exit code 1: no box was refined.
     """
-    import numpy as np
-
-    from fgrecon.calibration.labelled_drives import read_folds
-    from fgrecon.core.errors import InvalidInputError
-    from fgrecon.core.options import BoxModel, BoxOptions, Options
-    from fgrecon.io.datasets import open_drive
-    from fgrecon.perception.keypoints.detect import KeypointCascade
-    from fgrecon_research.evaluation.refined import Refinement, document, refine_drive
-
     check_outputs(json_out)
     screen = terminal.screen(json_out)
     drives = [open_drive(folder) for folder in folders]
@@ -116,12 +112,6 @@ def refine_evaluation_command(
 
 def _cars(boxes: Path, drive: Drive, place: Path, min_score: float) -> dict[int, Objects]:
     """A detector's cars by frame."""
-    import numpy as np
-
-    from fgrecon.io.datasets import submitted_boxes
-    from fgrecon.io.nuscenes_detections import is_submission
-    from fgrecon_research.evaluation.boxes3d import read_boxes
-
     found = (
         submitted_boxes(boxes, place)
         if is_submission(boxes)
@@ -134,9 +124,6 @@ def _cars(boxes: Path, drive: Drive, place: Path, min_score: float) -> dict[int,
 
 
 def _table(vehicles: Sequence[RefinedVehicle]) -> TextTable:
-    from fgrecon_research.evaluation.refined import compare
-    from fgrecon_research.evaluation.text_table import TextTable
-
     headings = ("mean m", "median m", "mean °", "median °", "flipped", "l, w, h cm", "> 5 % worse", "worst", "doubled")
     rows = []
     for name, one in compare(vehicles).items():

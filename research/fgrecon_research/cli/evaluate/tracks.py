@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from fgrecon.cli.options import Delivery, JsonOption, LabelledScene, fitting_names
 from fgrecon.cli.outputs import check_outputs
-from fgrecon.cli.terminal import Terminal, counting
+from fgrecon.cli.terminal import Screen, Terminal, counting
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.io.track_file import read_track
+from fgrecon_research.cli.evaluate import recording as evaluate_recording
 from fgrecon_research.cli.evaluate.data_options import MarkdownOption
-
-if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
-    from collections.abc import Sequence
-
-    from fgrecon.cli.terminal import Screen
-    from fgrecon.core.size_prior import SizePrior
-    from fgrecon_research.evaluation.run import MethodScores
+from fgrecon_research.evaluation import report
+from fgrecon_research.evaluation.methods import METHODS, select
+from fgrecon_research.evaluation.run import MethodScores, score_tracks
 
 _FAILURES_SHOWN = 5
 _WIDE = 160  # columns of the terminal that the whole table needs
 
 
 def _methods() -> list[str]:
-    from fgrecon_research.evaluation.methods import METHODS
-
     return list(METHODS)
 
 
@@ -60,12 +58,6 @@ def tracks_command(
     A recording shows the last of fgrecon's own methods, frame by frame, with the labels and the errors; for it the
     frames are solved once more after they were scored.
     """
-    from fgrecon.io.track_file import read_track
-    from fgrecon_research.cli.evaluate import recording as evaluate_recording
-    from fgrecon_research.evaluation import report
-    from fgrecon_research.evaluation.methods import select
-    from fgrecon_research.evaluation.run import score_tracks
-
     check_outputs(json_out, markdown, per_frame)
     delivery.check()
     screen = terminal.screen(json_out)

@@ -6,24 +6,34 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from fgrecon.calibration.labelled_drives import ScoredDrives
+from fgrecon.calibration.labelled_frames import ScoredFrame, reconstruct_frame
 from fgrecon.cli.options import NOT_GIVEN, DriveOptions, DrivesArgument, JsonOption, LabelledScene, fitting_names
 from fgrecon.cli.outputs import check_outputs
-from fgrecon.cli.terminal import Terminal
-from fgrecon.io.files import check_folder
+from fgrecon.cli.terminal import Screen, Terminal
+from fgrecon.core.coverage import Reliability
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.export.formats import TABLE_FORMATS, export_rows
+from fgrecon.io.files import check_ending, check_folder, write_text
+from fgrecon.simulation.vehicles import yaw_pose
+from fgrecon.viz import SolvedVehicle, contact_sheet, save_picture
+from fgrecon.viz.truth import Truth
 from fgrecon_research.cli.evaluate.data_options import MarkdownOption, ResultsOption
 from fgrecon_research.cli.evaluate.followed_drives import score_drives
-
-if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from fgrecon.calibration.labelled_drives import ScoredDrives
-    from fgrecon.calibration.labelled_frames import ScoredFrame
-    from fgrecon.cli.terminal import Screen
-    from fgrecon.core.coverage import Reliability
-    from fgrecon.viz import SolvedVehicle
-    from fgrecon_research.io.drive_sensors import Sensor
+from fgrecon_research.evaluation.methods import METHODS
+from fgrecon_research.evaluation.video_summary import (
+    document,
+    facing_reliability,
+    methods_of,
+    summarise_groups,
+    worst_boxes,
+)
+from fgrecon_research.evaluation.video_tables import tables
+from fgrecon_research.io.drive_sensors import Sensor
 
 _WORST = 20
 _RIVAL = "sqpnp_confident"
@@ -31,8 +41,6 @@ _COLUMNS = 5
 
 
 def _rivals() -> list[str]:
-    from fgrecon_research.evaluation.methods import METHODS
-
     return list(METHODS)
 
 
@@ -66,8 +74,6 @@ class Following:
         Raises:
             InvalidInputError: Something is requested of vehicles that are not followed.
         """
-        from fgrecon.core.errors import InvalidInputError
-
         if self.forget_ids and not self.track:
             raise InvalidInputError("forget_ids", "true", "Give --track as well: single images have no ids.")
         if self.estimate_motion and not self.track:
@@ -99,8 +105,6 @@ class Sensors:
     @property
     def chosen(self) -> list[Sensor]:
         """Those that are requested."""
-        from fgrecon_research.io.drive_sensors import Sensor
-
         return [sensor for sensor in Sensor if getattr(self, sensor.value, False)]
 
 
@@ -120,9 +124,6 @@ class VideoOutputs:
 
     def check(self) -> None:
         """Refuse what cannot be written before the work."""
-        from fgrecon.io.export.formats import TABLE_FORMATS
-        from fgrecon.io.files import check_ending
-
         check_outputs(self.json_out, self.table, self.markdown, picture=self.picture)
         if self.table is not None:
             check_ending(self.table, TABLE_FORMATS)
@@ -131,15 +132,11 @@ class VideoOutputs:
 
     def write(self, scored: ScoredDrives, screen: Screen) -> None:
         """Rows, boxes and the picture of what was scored."""
-        from fgrecon.io.export.formats import export_rows
-
         if self.results_out is not None:
             screen.wrote(*_write_results(self.results_out, scored.frames))
         if self.table is not None:
             screen.wrote(export_rows(self.table, [row for box in scored.boxes for row in box.rows()]))
         if self.picture is not None and (sights := _sights(scored)):
-            from fgrecon.viz import contact_sheet, save_picture
-
             screen.wrote(save_picture(self.picture, contact_sheet(sights, columns=_COLUMNS)))
 
 
@@ -175,9 +172,6 @@ def video_command(
 
     Exit code 1: no box could be reconstructed.
     """
-    from fgrecon_research.evaluation.video_summary import document, facing_reliability, methods_of, summarise_groups
-    from fgrecon_research.evaluation.video_tables import tables
-
     outputs.check()
     moving = following.moving(labelled)
     screen = terminal.screen(outputs.json_out)
@@ -233,8 +227,6 @@ def _given(scored: ScoredDrives, labelled: LabelledScene, how: DriveOptions, fol
 
 def _write_results(folder: Path, frames: Sequence[ScoredFrame]) -> list[Path]:
     """The folder of each drive, which has a file for each image with a label that counts, found or not."""
-    from fgrecon.io.files import write_text
-
     folders = set()
     for frame in frames:
         if frame.boxes or frame.missed:
@@ -259,12 +251,6 @@ def _in_words(facing: Reliability) -> str:
 
 def _sights(scored: ScoredDrives) -> list[SolvedVehicle]:
     """The worst boxes with their photographs and labels, worst first; their frames are solved once more."""
-    from fgrecon.calibration.labelled_frames import reconstruct_frame
-    from fgrecon.simulation.vehicles import yaw_pose
-    from fgrecon.viz import SolvedVehicle
-    from fgrecon.viz.truth import Truth
-    from fgrecon_research.evaluation.video_summary import worst_boxes
-
     by_name = {drive.name: drive for drive in scored.drives}
     sights = []
     for box in worst_boxes(scored.boxes, _WORST):

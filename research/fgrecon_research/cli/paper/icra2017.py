@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from rich.table import Table
 
 from fgrecon.cli.options import Delivery, JsonOption
 from fgrecon.cli.outputs import check_outputs
+from fgrecon.cli.reconstruct_report import details
 from fgrecon.cli.terminal import Terminal
+from fgrecon.io.images import read_image
+from fgrecon.viz import SolvedVehicle, contact_sheet, picture, save_picture
+from fgrecon.viz.delivery import recordings_of
+from fgrecon.viz.truth import Truth
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
-
-if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
-    from rich.table import Table
-
-    from fgrecon.viz import SolvedVehicle
-    from fgrecon_research.paper.icra2017 import Icra2017Result
+from fgrecon_research.paper.icra2017 import EXAMPLES, GROUND, Icra2017Result, evaluate_icra2017, true_pose
 
 FORMAT = "fgrecon_research.evaluation.icra2017/1"
 _RELEASE = {"01": (2.2, 0.96), "02": (7.0, 0.44)}
@@ -51,9 +52,6 @@ def icra2017_command(
 
     --verbose tells energies and times.
     """
-    from fgrecon.cli.reconstruct_report import details
-    from fgrecon_research.paper.icra2017 import EXAMPLES, GROUND, evaluate_icra2017
-
     check_outputs(json_out)
     delivery.check()
     screen = terminal.screen(json_out)
@@ -71,8 +69,6 @@ def icra2017_command(
         out.mkdir(parents=True, exist_ok=True)
         screen.wrote(*_draw(results, out))
     if delivery.requested:
-        from fgrecon.viz.delivery import recordings_of
-
         sights = [_sight(result, result.name, photograph=True) for result in results]
         delivery.deliver(recordings_of(sights, GROUND), screen, several=True)
 
@@ -103,8 +99,6 @@ def _document(results: list[Icra2017Result]) -> dict[str, Any]:
 
 
 def _table(results: list[Icra2017Result]) -> Table:
-    from rich.table import Table
-
     table = Table(title="The authors' two images (36 points, 42 basis vectors)")
     for heading in ("image", "error °", "centre m", "release: °", "m", "ms pose", "ms shape", "status"):
         table.add_column(heading, justify="right" if heading not in ("image", "status") else "left")
@@ -119,11 +113,6 @@ def _table(results: list[Icra2017Result]) -> Table:
 
 def _sight(result: Icra2017Result, title: str, *, photograph: bool) -> SolvedVehicle:
     """The car with the labelled box, over its photograph or without."""
-    from fgrecon.io.images import read_image
-    from fgrecon.viz import SolvedVehicle
-    from fgrecon.viz.truth import Truth
-    from fgrecon_research.paper.icra2017 import true_pose
-
     example = result.example
     image = read_image(example.image) if photograph else None
     truth = Truth(true_pose(example), box_size=example.size)
@@ -132,8 +121,6 @@ def _sight(result: Icra2017Result, title: str, *, photograph: bool) -> SolvedVeh
 
 def _draw(results: list[Icra2017Result], out: Path) -> list[Path]:
     """Each image's picture over its photograph, and one of both without, which shows nothing of third parties."""
-    from fgrecon.viz import contact_sheet, picture, save_picture
-
     paths = []
     for result in results:
         seen = _sight(result, result.name, photograph=True)

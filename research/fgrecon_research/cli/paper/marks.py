@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from fgrecon.cli.options import JsonOption
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
 from fgrecon_research.cli.evaluate.calibration import calibration_tables
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption, MarkdownOption
+from fgrecon_research.evaluation.calibration import calibration_document
 from fgrecon_research.evaluation.text_table import TextTable
-
-if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from fgrecon_research.paper.closest_models import ClosestModelRanks
+from fgrecon_research.paper.apollocar3d import read_apollocar3d
+from fgrecon_research.paper.closest_models import CLOSEST_ROWS, ClosestModelRanks, rank_models, share_within
+from fgrecon_research.paper.marked_calibration import calibrate_marked
+from fgrecon_research.training.priors.apollo79 import load_apollo79
 
 _METHOD = "reconstruct"
 
@@ -24,11 +27,6 @@ def marks_command(terminal: Terminal, data: DataOption = DATA, json_out: JsonOpt
     How exactly people mark is fitted to one half of the images (`KeypointOptions.sigma_relative`) and tested on the
     other. The prior of a car has not learnt from its model. --verbose names what could not be reconstructed.
     """
-    from fgrecon_research.evaluation.calibration import calibration_document
-    from fgrecon_research.paper.apollocar3d import read_apollocar3d
-    from fgrecon_research.paper.marked_calibration import calibrate_marked
-    from fgrecon_research.training.priors.apollo79 import load_apollo79
-
     check_outputs(json_out)
     screen = terminal.screen(json_out)
     models = load_apollo79(data)
@@ -59,10 +57,6 @@ def models_command(
 
     The prior of a car has not learnt from its model. --verbose tells the place of every car's.
     """
-    from fgrecon_research.paper.apollocar3d import read_apollocar3d
-    from fgrecon_research.paper.closest_models import rank_models
-    from fgrecon_research.training.priors.apollo79 import load_apollo79
-
     check_outputs(json_out, markdown)
     screen = terminal.screen(json_out)
     models = load_apollo79(data)
@@ -89,8 +83,6 @@ def models_command(
 
 
 def _rows(found: ClosestModelRanks) -> list[tuple[str, ...]]:
-    from fgrecon_research.paper.closest_models import CLOSEST_ROWS
-
     return [
         (row, *(f"{found.share(row, first):.1f}" for first in _FIRST), f"{found.median(row):g}") for row in CLOSEST_ROWS
     ]
@@ -98,10 +90,6 @@ def _rows(found: ClosestModelRanks) -> list[tuple[str, ...]]:
 
 def _note(found: ClosestModelRanks) -> str:
     """What the margin to the second model tells."""
-    import numpy as np
-
-    from fgrecon_research.paper.closest_models import CLOSEST_ROWS, share_within
-
     row = CLOSEST_ROWS[-1]
     wide = found.margins >= np.nanquantile(found.margins, 2 / 3)
     limit = 100 * float(np.nanquantile(found.margins, 2 / 3))

@@ -5,16 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from fgrecon.cli.options import LabelledScene
 from fgrecon.cli.terminal import Terminal
+from fgrecon.viz import SolvedVehicle, Truth, contact_sheet
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
-
-if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from fgrecon_research.paper.known_shape import ExampleCar
+from fgrecon_research.evaluation import report
+from fgrecon_research.paper import page as paper_page
+from fgrecon_research.paper.known_shape import ExampleCar
+from fgrecon_research.paper.plots import svg_text
+from fgrecon_research.paper.run import evaluate_paper
+from fgrecon_research.paper.simulated_run import PaperSettings
 
 
 def paper_command(
@@ -42,11 +46,6 @@ def paper_command(
     the code: use --fresh after those. Nothing is recorded for the viewer, these are thousands of cars: see
     `fgrecon evaluate tracks --save`. --verbose names every defect of the files and every failure.
     """
-    from fgrecon_research.evaluation import report
-    from fgrecon_research.paper import page as paper_page
-    from fgrecon_research.paper.run import evaluate_paper
-    from fgrecon_research.paper.simulated_run import PaperSettings
-
     screen = terminal.screen()
     scene = labelled.scene()
     settings = PaperSettings(data, out, scene, workers or os.cpu_count() or 1, every, seed, fresh)
@@ -65,9 +64,6 @@ def paper_command(
 
 def _pictures(cars: Sequence[ExampleCar]) -> dict[str, str]:
     """The cars as SVG elements by caption; no photograph is there to be drawn on."""
-    from fgrecon.viz import SolvedVehicle, Truth, contact_sheet
-    from fgrecon_research.paper.plots import svg_text
-
     if not cars:
         return {}
     sights = []

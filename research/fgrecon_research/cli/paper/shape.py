@@ -5,22 +5,25 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from fgrecon.cli.options import KITTI_CAMERA_HEIGHT, JsonOption
 from fgrecon.cli.outputs import check_outputs
-from fgrecon.cli.terminal import Terminal, counting
+from fgrecon.cli.terminal import Screen, Terminal, counting
+from fgrecon.core.camera import Ground
+from fgrecon.core.options import Options
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption, MarkdownOption
+from fgrecon_research.evaluation.bootstrap import mean_interval
 from fgrecon_research.evaluation.text_table import TextTable
-
-if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
-    from fgrecon.cli.terminal import Screen
-    from fgrecon.core.camera import Ground
-    from fgrecon.core.shape_prior import ShapePrior
-    from fgrecon_research.paper.shape import SimulatedView, StageScore, StrategyScore
-    from fgrecon_research.training.priors.apollo79 import Apollo79
+from fgrecon_research.paper import shape
+from fgrecon_research.paper.shape import DEFAULT, SimulatedView, StageScore, StrategyScore
+from fgrecon_research.simulation import HARD
+from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior, load_apollo79
 
 FORMAT = "fgrecon_research.evaluation.shape/1"
 _UNITS = {
@@ -50,11 +53,6 @@ def shape_command(
     Real car models, poses like KITTI's, and the mistakes of a real keypoint network. The level camera's height is known
     and the prior's own sizes are used, except that the ablation adds the fleet's as well. --verbose names the cars.
     """
-    from fgrecon.core.camera import Ground
-    from fgrecon_research.paper import shape
-    from fgrecon_research.simulation import HARD
-    from fgrecon_research.training.priors.apollo79 import apollo79_prior, load_apollo79
-
     check_outputs(json_out, markdown)
     screen = terminal.screen(json_out)
     ground = Ground.level(KITTI_CAMERA_HEIGHT)
@@ -94,10 +92,6 @@ def _ablated(
     screen: Screen,
 ) -> tuple[dict[str, Any], list[TextTable]]:
     """Numbers and tables of energies without each term, with two priors, and of robust strategies."""
-    from fgrecon.core.options import Options
-    from fgrecon.core.size_prior import SIZE_PRIORS
-    from fgrecon_research.paper import shape
-
     size, options = SIZE_PRIORS["apollo79"], Options()
     total = 2 * len(shape.variants(options)) + len(shape.STRATEGIES)
     with screen.bar(per_minute=True) as advance:
@@ -138,11 +132,6 @@ def _numbers(score: StageScore) -> list[str]:
 
 def _ablation_table(title: str, variants: Mapping[str, Mapping[str, StageScore]]) -> TextTable:
     """Errors with every variant, and what it costs in mean square against the default, with the 95 % interval."""
-    import numpy as np
-
-    from fgrecon_research.evaluation.bootstrap import mean_interval
-    from fgrecon_research.paper.shape import DEFAULT
-
     costs = "cost cm² (95 %)"
     heads = ["energy", "true pose cm", "RMS cm", costs, "joint cm", "RMS cm", costs, "joint inliers px"]
     rows, whole = [], variants[DEFAULT]

@@ -11,6 +11,7 @@ import typer
 from fgrecon.cli.options import DrivesArgument
 from fgrecon.cli.terminal import Terminal
 from fgrecon.io.files import check_output, write_text
+from fgrecon_research.annotation.class_sizes import class_file
 
 
 def sizes_command(
@@ -24,8 +25,6 @@ def sizes_command(
     The drives are those with labels in which each vehicle is counted once. --verbose tells how often each
     class is among all labels.
     """
-    from fgrecon_research.annotation.class_sizes import class_file
-
     screen = terminal.screen()
     check_output(out)
     content = class_file(labels, drives)

@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from fgrecon.cli.options import JsonOption, WeightsOption, fitting_names
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.parsing import parse_numbers
+from fgrecon.io.catalogue import load_category
 from fgrecon.io.files import check_output
+from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from fgrecon_research.training.keypoints.posed_cars import PosedCar
-    from fgrecon_research.training.keypoints.settings import TrainingSettings
+from fgrecon_research.cli.training import keypoints_report as report
+from fgrecon_research.cli.training.keypoints_report import TrainingDisplay
+from fgrecon_research.cli.training.label_report import label_street
+from fgrecon_research.training.keypoints.evaluate import score_marks
+from fgrecon_research.training.keypoints.marks import read_photograph_marks, read_street_marks
+from fgrecon_research.training.keypoints.posed_cars import PosedCar, read_posed_cars
+from fgrecon_research.training.keypoints.segment import draw_silhouettes, in_order
+from fgrecon_research.training.keypoints.settings import TrainingSettings, read_settings, shipped_settings
 
 
 def _settings() -> list[str]:
-    from fgrecon_research.training.keypoints.settings import shipped_settings
-
     return list(shipped_settings())
 
 
@@ -43,12 +47,6 @@ def evaluate_command(
 
     The data folder has hand_labels, posed_cars and kitti_object. --verbose tells where the network comes from.
     """
-    from fgrecon.io.catalogue import load_category
-    from fgrecon.perception.keypoints.detect import KeypointCascade
-    from fgrecon_research.cli.training import keypoints_report as report
-    from fgrecon_research.training.keypoints.evaluate import score_marks
-    from fgrecon_research.training.keypoints.marks import read_photograph_marks, read_street_marks
-
     check_outputs(json_out)
     screen = terminal.screen(json_out)
     marks = read_photograph_marks(data / "hand_labels" / "posed_cars_keypoints14.json", data / "posed_cars" / "images")
@@ -81,9 +79,6 @@ def silhouettes_command(
 
     The data folder has posed_cars. --verbose names every file.
     """
-    from fgrecon_research.training.keypoints.posed_cars import read_posed_cars
-    from fgrecon_research.training.keypoints.segment import draw_silhouettes, in_order
-
     screen = terminal.screen()
     cars = in_order(read_posed_cars(data / "posed_cars"), each)
 
@@ -209,8 +204,6 @@ def train_command(
     With --settings a file says what is trained, in phases that each go on from the one before; options given here take
     the place of what it says, in every phase.
     """
-    from fgrecon_research.cli.training.keypoints_report import TrainingDisplay
-
     check_output(out)
     screen, given = terminal.screen(), options.given()
     chosen = _chosen(settings, trained or (), given)
@@ -224,7 +217,6 @@ def train_command(
             train_networks(data, work, out, beginning, plan, display)
             written: tuple[Path, ...] = (out,)
         else:
-            from fgrecon_research.cli.training.label_report import label_street
             from fgrecon_research.training.keypoints.phases import train_phases
 
             written = train_phases(chosen, data, work, out, label_street, display)
@@ -238,14 +230,10 @@ def _of(kind: type[Any], given: Mapping[str, Any]) -> dict[str, Any]:
 
 def _chosen(source: str | None, trained: Sequence[str], given: Mapping[str, Any]) -> TrainingSettings | None:
     """The settings file with the options in it; None without one."""
-    from fgrecon.core.errors import InvalidInputError
-
     if source is None:
         if trained:
             raise InvalidInputError("trained", trained[0], "Give --settings with it: a phase is one of its trainings.")
         return None
-    from fgrecon_research.training.keypoints.settings import read_settings
-
     networks = {}
     for text in trained:
         name, _, file = text.partition("=")

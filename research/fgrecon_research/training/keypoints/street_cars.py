@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -198,8 +199,6 @@ def prepare_street_cars(file: Path, folder: Path, progress: Progress = no_progre
 
 def _filled(polygons: Sequence[Array]) -> NDArray[np.uint8]:
     """255 inside the polygons."""
-    import cv2
-
     mask = np.zeros((SIDE, SIDE), dtype=np.uint8)
     corners = [np.clip(np.rint(polygon * 16), -1e6, 1e6).astype(np.int32) for polygon in polygons]
     if corners:

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -102,8 +103,6 @@ def _groups(network: KNet) -> list[dict[str, Any]]:
 
 
 def _batches(samples: _Samples, how: Training, first: int) -> Iterator[Any]:
-    import cv2
-
     # A worker is one thread: the cores belong to the network. OpenCV's threads must end before processes are forked: a
     # worker that inherits them waits for them for ever.
     cv2.setNumThreads(1)
