@@ -27,7 +27,6 @@ from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.run import VideoRun
 from fgrecon.video.video_job import VideoRequest, prepare_video, track_video, write_tracks
 from fgrecon.viz.film import film, recorded, values_of
-from fgrecon.viz.video_recording import video_recording_of
 
 FILM, RECORDING, FRAMES, TABLE_FILE = "film.mp4", "recording.rrd", "frames.jsonl", "tracks.csv"
 """Files that are left in the folder."""
@@ -158,6 +157,8 @@ def track_upload(folder: Path, name: str, out: Path, requested: PageRequested) -
         write_tracks(job, run)
     filmed = any(head.problem is None for head in run.frames.heads)
     if filmed:
+        from fgrecon.viz.video_recording import video_recording_of  # on use: it imports rerun
+
         film(out / FILM, job.source, run.frames, job.camera, advance)
         made = video_recording_of(lambda: recorded(job.source, run.frames, advance), job.camera)
         made.write(out / RECORDING)

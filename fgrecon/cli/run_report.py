@@ -25,7 +25,6 @@ from fgrecon.video.video_job import VideoJob, track_video
 from fgrecon.viz import Recording
 from fgrecon.viz.film import Showing, film, recorded, still
 from fgrecon.viz.sinks import start_viewer
-from fgrecon.viz.video_recording import LiveRecording, video_recording_of
 
 FORMAT = "fgrecon.run/1"
 
@@ -53,6 +52,8 @@ def perform(job: VideoJob, viewer: Viewer, screen: Screen) -> VideoRun:
 def _live(job: VideoJob, viewer: Viewer) -> Iterator[Callable[[TrackedFrame, SourceFrame | None], None]]:
     """Sends frames to the viewers that are requested."""
     addresses = [address for address in (viewer.connect, start_viewer() if viewer.spawn else None) if address]
+    if addresses:
+        from fgrecon.viz.video_recording import LiveRecording  # on use: it imports rerun
     recordings = [LiveRecording(job.request.out.name, address, job.camera) for address in addresses]
     showing = Showing()
 
@@ -71,6 +72,8 @@ def _live(job: VideoJob, viewer: Viewer) -> Iterator[Callable[[TrackedFrame, Sou
 
 def recording(job: VideoJob, run: VideoRun, advance: Advance) -> Recording:
     """The recording of a run, frames read once more."""
+    from fgrecon.viz.video_recording import video_recording_of  # on use: it imports rerun
+
     return video_recording_of(lambda: recorded(job.source, run.frames, advance), job.camera)
 
 

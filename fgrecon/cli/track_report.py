@@ -34,7 +34,7 @@ from fgrecon.io.run_settings import RunSettings, settings_to_dict
 from fgrecon.io.track_file import Track, parse_track
 from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.solve.track import reconstruct_track
-from fgrecon.viz import Recording, SolvedVehicle, TrackInputs, Truth, contact_sheet, save_picture, track_recording_of
+from fgrecon.viz import Recording, SolvedVehicle, TrackInputs, Truth, contact_sheet, save_picture
 
 FORMAT = f"fgrecon.track/{SCHEMA_VERSION}"
 
@@ -57,6 +57,8 @@ class Solved:
     @property
     def recording(self) -> Recording:
         """Its recording."""
+        from fgrecon.viz.track_recording import track_recording_of  # on use: it imports rerun
+
         return track_recording_of(self.result, self.sight)
 
     @property

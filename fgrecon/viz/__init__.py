@@ -13,15 +13,20 @@ neither rerun nor matplotlib: they are imported on use.
 - All share colours (`fgrecon.viz.style`), geometry (`fgrecon.viz.geometry`) and words (`fgrecon.viz.describe`).
 """
 
+from typing import TYPE_CHECKING
+
+from factors.lazy import lazy_names
 from fgrecon.viz.animation import animate
 from fgrecon.viz.picture import as_rgb, contact_sheet, picture, save_picture
-from fgrecon.viz.recording import recording_of
 from fgrecon.viz.scene_picture import scene_picture
-from fgrecon.viz.scene_recording import scene_recording_of
 from fgrecon.viz.sinks import Recording
 from fgrecon.viz.subjects import DrawnVehicle, Photograph, SolvedVehicle, TrackInputs
-from fgrecon.viz.track_recording import track_recording_of
 from fgrecon.viz.truth import Truth
+
+if TYPE_CHECKING:  # imported when used, since they import rerun
+    from fgrecon.viz.recording import recording_of
+    from fgrecon.viz.scene_recording import scene_recording_of
+    from fgrecon.viz.track_recording import track_recording_of
 
 __all__ = [
     "DrawnVehicle",
@@ -40,3 +45,5 @@ __all__ = [
     "scene_recording_of",
     "track_recording_of",
 ]
+
+__getattr__, __dir__ = lazy_names(__name__)

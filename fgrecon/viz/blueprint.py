@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+import rerun.blueprint as rrb
+import rerun.blueprint.archetypes as forces
 from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import Reconstruction
@@ -35,8 +37,6 @@ def vehicle_blueprint(vehicle: SolvedVehicle) -> Any:
 
     With a car model the surface is not shown, which is where that is.
     """
-    import rerun.blueprint as rrb
-
     result, truth = vehicle.reconstruction, vehicle.truth
     crop = crop_around(vehicle.observation, result.pose.wireframe_uv, aspect=_ASPECT)
     plots = [*_step_plots(), _plot_view("Shape", entities.COEFFICIENTS)]
@@ -53,8 +53,6 @@ def vehicle_blueprint(vehicle: SolvedVehicle) -> Any:
 
 def scene_blueprint(members: Sequence[Member]) -> Any:
     """Of a scene: image, space and view from above; below states, words, and a tab for each vehicle."""
-    import rerun.blueprint as rrb
-
     logs = [f"/{member.place(entities.LOG)}" for member in members]
     columns = rrb.TextLogColumns(text_log_columns=["LogLevel", "EntityPath", "Body"])
     words = rrb.Tabs(
@@ -73,8 +71,6 @@ def scene_blueprint(members: Sequence[Member]) -> Any:
 
 def track_blueprint(track: TrackReconstruction, inputs: TrackInputs) -> Any:
     """Of a track, showing all of its path: what happens by frame on the left, the joint solve on the right."""
-    import rerun.blueprint as rrb
-
     by_frame = list(_step_plots(f"{entities.FRAMES}/"))[::-1]
     if inputs.truths is not None and any(truth is not None for truth in inputs.truths):
         by_frame.insert(0, _error_views(f"{entities.FRAMES}/{entities.ERROR}", shape=False))
@@ -97,8 +93,6 @@ def video_blueprint() -> Any:
 
     Both views of the space go with the camera, whose frame they are in: x right, y down, z ahead, metres.
     """
-    import rerun.blueprint as rrb
-
     middle = np.array([0.0, 0.0, _VIDEO_AHEAD])
     above = _look(np.array([0.0, -_VIDEO_ABOVE, _VIDEO_AHEAD]), middle, up=(0.0, 0.0, 1.0))
     behind, world = _look(_VIDEO_EYE, middle), f"/{entities.WORLD}/**"
@@ -125,8 +119,6 @@ def video_blueprint() -> Any:
 
 def _video_plot(name: str) -> Any:
     """One value of all vehicles, in their colours: without a legend, which would hide it."""
-    import rerun.blueprint as rrb
-
     title = name.replace("_", " ") + (f" [{_VIDEO_UNITS[name]}]" if name in _VIDEO_UNITS else "")
     legend = rrb.PlotLegend(visible=False)
     return rrb.TimeSeriesView(origin=f"/{entities.PLOTS}/{name}", name=title, plot_legend=legend)
@@ -134,8 +126,6 @@ def _video_plot(name: str) -> Any:
 
 def _page(above: Sequence[Any], below: Sequence[Any], *, name: str, timeline: str) -> Any:
     """Two rows of views, and no panels but the player; the last view below has words and a little more room."""
-    import rerun.blueprint as rrb
-
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(*above, column_shares=[1] * len(above)),
@@ -160,8 +150,6 @@ def _image_view(
     contents: Sequence[str] = (_ALL,),
 ) -> Any:
     """The image, zoomed to a crop where one is given."""
-    import rerun.blueprint as rrb
-
     return rrb.Spatial2DView(
         name=name,
         origin=f"/{entities.CAMERA}",
@@ -173,16 +161,12 @@ def _image_view(
 
 def _bounds(crop: Box) -> Any:
     """The part of a 2D view that is shown."""
-    import rerun.blueprint as rrb
-
     x1, y1, x2, y2 = crop
     return rrb.VisualBounds2D(x_range=(x1, x2), y_range=(y1, y2))
 
 
 def _space_view(name: str, origin: str, contents: Sequence[str], eye: Any) -> Any:
     """A 3D view."""
-    import rerun.blueprint as rrb
-
     return rrb.Spatial3DView(
         name=name,
         origin=f"/{origin}",
@@ -228,8 +212,6 @@ def _scene_views(members: Sequence[Member]) -> list[Any]:
 
 def _details(member: Member) -> Any:
     """Image, plots and graph of one vehicle of a scene."""
-    import rerun.blueprint as rrb
-
     result = member.vehicle.reconstruction
     crop = crop_around(member.vehicle.observation, result.pose.wireframe_uv, aspect=_ASPECT)
     contents = (f"/{entities.CAMERA}", f"/{entities.IMAGE}", f"/{member.place(f'{entities.CAMERA}/')}**")
@@ -247,8 +229,6 @@ def _step_plots(root: str = "") -> tuple[Any, Any]:
 
 def _plot_view(name: str, entity: str, span: tuple[float, float] | None = None) -> Any:
     """One plot; its range is that of the data where none is given."""
-    import rerun.blueprint as rrb
-
     legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
     axis = None if span is None else rrb.ScalarAxis(range=span)
     return rrb.TimeSeriesView(name=name, origin=f"/{entity}", plot_legend=legend, axis_y=axis)
@@ -256,8 +236,6 @@ def _plot_view(name: str, entity: str, span: tuple[float, float] | None = None) 
 
 def _error_views(entity: str, *, shape: bool) -> Any:
     """Distances from the truth, with that of the shape or without, in plots of their own: they have different units."""
-    import rerun.blueprint as rrb
-
     measures = {ORIENTATION_ERROR: "Orientation error [degrees]", TRANSLATION_ERROR: "Translation error [m]"}
     measures |= {SHAPE_ERROR: "Error of the 3D keypoints [m]"} if shape else {}
     return rrb.Vertical(*(_plot_view(name, f"{entity}/{m}") for m, name in measures.items()), name="Errors")
@@ -267,9 +245,6 @@ def _graph_view(
     layout: Layout | None, name: str = "Factor graph: keypoints by weight", entity: str = entities.GRAPH
 ) -> Any:
     """The factor graph, with every node where it was put and, where a layout is given, all of them in the view."""
-    import rerun.blueprint as rrb
-    import rerun.blueprint.archetypes as forces
-
     bounds = None
     if layout is not None:
         low, high = layout.positions.min(axis=0) - _GRAPH_MARGIN, layout.positions.max(axis=0) + _GRAPH_MARGIN
@@ -287,15 +262,11 @@ def _graph_view(
 
 def _state_view(name: str) -> Any:
     """The states of all vehicles over time."""
-    import rerun.blueprint as rrb
-
     return rrb.StateTimelineView(origin=f"/{entities.STATES}", name=name)
 
 
 def _word_views() -> Any:
     """The log and the summary. Every line of the log comes from one entity, whose name says nothing."""
-    import rerun.blueprint as rrb
-
     columns = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
     return rrb.Tabs(
         rrb.TextLogView(name="Log", origin=f"/{entities.LOG}", columns=columns),
@@ -356,6 +327,4 @@ def _look(
     position: NDArray[np.float64], target: NDArray[np.float64], up: tuple[float, float, float] = (0.0, -1.0, 0.0)
 ) -> Any:
     """An eye at a position that looks at a target, with what is to be up in its view; camera frame, metres."""
-    import rerun.blueprint as rrb
-
     return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up)

@@ -12,8 +12,8 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import distinct
 from fgrecon.io.files import check_output
-from fgrecon.viz import Photograph, Recording, SolvedVehicle, recording_of
-from fgrecon.viz.sinks import check_viewer, start_viewer
+from fgrecon.viz.sinks import Recording, check_viewer, start_viewer
+from fgrecon.viz.subjects import Photograph, SolvedVehicle
 
 _AT_ONCE = 2  # encoding one takes longer than making the next
 
@@ -63,6 +63,8 @@ def recordings_of(sights: Sequence[SolvedVehicle], ground: Ground | None) -> lis
     Args:
         ground: The ground plane that was assumed.
     """
+    from fgrecon.viz.recording import recording_of  # on use: it imports rerun
+
     images = {id(s.image): Photograph.of(s.image) for s in sights}  # several vehicles may be in one
     return [(s.title, recording_of(replace(s, image=images[id(s.image)]), ground=ground)) for s in sights]
 

@@ -8,7 +8,7 @@ from operator import ne
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.geometry import position_covariance
+from fgrecon.core.geometry import position_covariance, view_azimuth
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import TRUSTED, Iteration, Reconstruction
 from fgrecon.core.text import markdown_row
@@ -158,3 +158,9 @@ def _alternatives(reconstruction: Reconstruction) -> str:
     excesses = [other.excess for other in reconstruction.uncertainty.alternatives if np.isfinite(other.excess)]
     count = str(len(reconstruction.uncertainty.alternatives))
     return f"{count}, the best {min(excesses):.1f} nats worse" if excesses else count
+
+
+def state_in_words(what: str, camera_T_object: NDArray[np.float64]) -> str:
+    """A status or stage, and whether the camera observes the vehicle's front or its rear."""
+    azimuth = float(view_azimuth(camera_T_object[:3, :3], camera_T_object[:3, 3]))
+    return f"{what}, {'front' if abs(azimuth) < np.pi / 2 else 'rear'}"

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import GraphFactor
@@ -43,8 +44,6 @@ class Layout:
 
 def log_graph(rows: Rows) -> None:
     """The graph that a vehicle's result minimises; the factors of keypoints are coloured by weight at every step."""
-    import rerun as rr
-
     (play,) = rows.plays
     result = play.vehicle.reconstruction
     if not result.diagnostics.graph:
@@ -79,8 +78,6 @@ def log_layout(stream: Outbox, layout: Layout, *, colours: bool = False) -> None
 
 def graph_archetypes(layout: Layout) -> tuple[Any, Any]:
     """The `rerun.GraphNodes` and `rerun.GraphEdges` of a graph that is another one at another time."""
-    import rerun as rr
-
     radii = np.repeat([_LARGE, _SMALL], [layout.variables, len(layout.nodes) - layout.variables])
     nodes = rr.GraphNodes(
         layout.nodes,

@@ -17,13 +17,12 @@ from fgrecon.io.video import write_video
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.frame_store import FrameStore
 from fgrecon.video.rows import motion_of
+from fgrecon.viz.describe import state_in_words
 from fgrecon.viz.entities import SIZES
 from fgrecon.viz.overlay import annotated
 from fgrecon.viz.picture import save_picture
 from fgrecon.viz.scene_picture import scene_picture
-from fgrecon.viz.scene_recording import state_in_words
-from fgrecon.viz.subjects import DrawnVehicle, detection_words
-from fgrecon.viz.video_recording import RecordedFrame
+from fgrecon.viz.subjects import DrawnVehicle, RecordedFrame, detection_words
 
 Advance = Callable[[str, int, int | None], None]
 """Called with what is being done, how much of it is done, and how much there is."""

@@ -19,7 +19,6 @@ from fgrecon.viz.animation import animate
 from fgrecon.viz.delivery import recordings_of
 from fgrecon.viz.picture import contact_sheet, picture, save_picture
 from fgrecon.viz.scene_picture import scene_picture
-from fgrecon.viz.scene_recording import scene_recording_of
 from fgrecon.viz.sinks import Recording
 from fgrecon.viz.subjects import DrawnVehicle, SolvedVehicle, detection_words
 
@@ -120,6 +119,8 @@ def recordings(
         image: (H, W, 3) photograph.
         grounds: The ground of each image, by its name.
     """
+    from fgrecon.viz.scene_recording import scene_recording_of  # on use: it imports rerun
+
     made: list[tuple[str, Recording]] = []
     for (name, _), members in _by_image(outcomes).items():
         sights = sights_of(members, image)

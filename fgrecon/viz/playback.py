@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import Iteration
@@ -197,6 +198,4 @@ class Rows:
 
 
 def _time_columns(times: Mapping[str, NDArray[np.int64]]) -> list[Any]:
-    import rerun as rr
-
     return [rr.TimeColumn(timeline, sequence=at) for timeline, at in times.items()]

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import Reconstruction, Status
@@ -63,8 +64,6 @@ class PlotSink:
         self, entity: str, values: NDArray[np.float64], names: tuple[str, ...], colours: tuple[Colour, ...]
     ) -> None:
         """Series (n, M) of one entity; the total is a thinner line."""
-        import rerun as rr
-
         if values.shape[1]:
             widths = tuple(1.0 if name == entities.TOTAL else 2.0 for name in names)
             entity = f"{self._root}{entity}"
@@ -129,16 +128,12 @@ def log_words(play: Playback, rows: Rows | None) -> None:
 
 def log_summary(stream: Outbox, table: str) -> None:
     """The summary, a table in Markdown."""
-    import rerun as rr
-
     look = fixed_columns(rr.TextDocument, media_type="text/markdown")
     stream.send_columns(entities.SUMMARY, [], [*look, *rr.TextDocument.columns(text=[table])])
 
 
 def log_columns(texts: Sequence[str], levels: Sequence[str]) -> Any:
     """Columns of lines of the log and their levels, one a row."""
-    import rerun as rr
-
     return rr.TextLog.columns(text=texts, level=levels)
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from fgrecon.core.shape_prior import ShapePrior
@@ -35,8 +37,6 @@ def record_prior(path: str | Path, prior: ShapePrior) -> Path:
 
 
 def _blueprint() -> Any:
-    import rerun.blueprint as rrb
-
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Spatial3DView(name="Shape: x forward, y down, z left, metres", origin="/prior", line_grid=False),
@@ -60,8 +60,6 @@ def _coefficients(prior: ShapePrior) -> tuple[NDArray[np.int64], NDArray[np.floa
 
 
 def _log(stream: Any, prior: ShapePrior) -> None:
-    import rerun as rr
-
     modes, coefficients = _coefficients(prior)
     sides = style.keypoint_sides(prior.category.keypoints, prior.mean)
     edges = style.edge_sides(np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2), sides)

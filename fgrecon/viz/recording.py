@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
@@ -93,8 +94,6 @@ def log_vehicle(play: Playback) -> None:
 
 def line_style(dimension: int, colour: tuple[int, ...], radius: float, order: float = 0.0) -> dict[str, Any]:
     """How line strips look in 2D or 3D: an archetype and its fields, as `fixed` takes them."""
-    import rerun as rr
-
     if dimension == 2:
         return {"archetype": rr.LineStrips2D, "colors": colour, "radii": -radius, "draw_order": order}
     return {"archetype": rr.LineStrips3D, "colors": colour, "radii": -radius}
@@ -102,8 +101,6 @@ def line_style(dimension: int, colour: tuple[int, ...], radius: float, order: fl
 
 def log_camera(play: Playback, photograph: Photograph | None) -> None:
     """The camera and its frame."""
-    import rerun as rr
-
     depth, camera = play.vehicle.reconstruction.location[2], play.vehicle.camera
     distance = min(_IMAGE_PLANE * depth, _FARTHEST_PLANE) if np.isfinite(depth) and depth > 0 else _FARTHEST_PLANE
     play.once(entities.SCENE, rr.ViewCoordinates, xyz=_AXES)
@@ -117,8 +114,6 @@ def log_camera(play: Playback, photograph: Photograph | None) -> None:
 
 def log_image(play: Playback, photograph: Photograph | None) -> None:
     """The photograph."""
-    import rerun as rr
-
     if photograph is not None:
         play.once(entities.IMAGE, rr.EncodedImage, media_type="image/jpeg", draw_order=-10.0)
         play.at_start(entities.IMAGE, photograph.columns)
@@ -126,8 +121,6 @@ def log_image(play: Playback, photograph: Photograph | None) -> None:
 
 def log_frame(play: Playback, photograph: Photograph | None) -> None:
     """The photograph and the 2D box of the observation."""
-    import rerun as rr
-
     log_image(play, photograph)
     box = play.vehicle.observation.box
     if box is not None:
@@ -138,8 +131,6 @@ def log_frame(play: Playback, photograph: Photograph | None) -> None:
 
 def log_truth(play: Playback, truth: Truth) -> None:
     """The true box and keypoints, in 3D and in the image."""
-    import rerun as rr
-
     pose = truth.camera_T_object
     play.at_start(entities.TRUTH_3D, rr.Transform3D.columns(translation=pose[None, :3, 3], mat3x3=pose[None, :3, :3]))
     if truth.box_size is not None:
@@ -165,8 +156,6 @@ def log_steps(rows: Rows) -> None:
 
 def _log_image_steps(rows: Rows) -> None:
     """Keypoints by weight, projected wireframe now and before, residuals."""
-    import rerun as rr
-
     result = rows.plays[0].vehicle.reconstruction
     measured: NDArray[np.bool_] = np.isfinite(rows.detected[..., 0])
     if measured.any():
@@ -190,8 +179,6 @@ def _log_image_steps(rows: Rows) -> None:
 
 def _log_scene_steps(rows: Rows) -> None:
     """Pose, keypoints by weight, wireframe now and before."""
-    import rerun as rr
-
     result = rows.plays[0].vehicle.reconstruction
     poses = rr.Transform3D.columns(translation=rows.poses[:, :3, 3], mat3x3=rows.poses[:, :3, :3])
     rows.send(entities.VEHICLE, poses)
@@ -209,8 +196,6 @@ def _log_scene_steps(rows: Rows) -> None:
 
 def _log_planes(rows: Rows) -> None:
     """The planes of the faces, and the medial plane."""
-    import rerun as rr
-
     result = rows.plays[0].vehicle.reconstruction
     outlines = face_outlines(rows.keypoints, result.shape.faces)
     if len(result.shape.symmetric_pairs):
@@ -226,8 +211,6 @@ def _log_planes(rows: Rows) -> None:
 
 def log_ground(play: Playback, ground: Ground | None) -> None:
     """A grid on the ground around the result."""
-    import rerun as rr
-
     grid = ground_grid(play.vehicle.reconstruction.camera_T_object, ground)
     look = fixed_columns(**line_style(3, style.GROUND, 0.4))
     play.always(entities.GROUND, [*look, *strip_columns(rr.LineStrips3D, grid[None])])
@@ -235,8 +218,6 @@ def log_ground(play: Playback, ground: Ground | None) -> None:
 
 def log_result(play: Playback) -> None:
     """What only the result has: surface, box, uncertainty of the keypoints."""
-    import rerun as rr
-
     result = play.vehicle.reconstruction
     play.once(entities.VEHICLE_BOX, **line_style(3, style.SCREEN_INK, 0.75))
     corners = outline_corners(result.box_size)[None, BOX_EDGES]
@@ -254,8 +235,6 @@ def log_result(play: Playback) -> None:
 
 def _log_points(play: Playback) -> None:
     """The points of other sensors in space and in the image, colour by weight."""
-    import rerun as rr
-
     known, camera = play.vehicle.reconstruction.diagnostics, play.vehicle.camera
     colours, count = style.weight_colours(known.point_weights), len(known.points)
     play.once(entities.POINTS_3D, rr.Points3D, radii=-2.0)
@@ -278,8 +257,6 @@ def log_ellipsoids(
     deviations: float = 1.0,
 ) -> None:
     """Ellipsoids of covariances (M, 3, 3) about centres (M, 3), that many standard deviations large."""
-    import rerun as rr
-
     axes, rotations = ellipsoids(covariances)
     look = {"colors": style.UNCERTAINTY, "fill_mode": "MajorWireframe", "line_radii": line_radii}
     play.once(entity, rr.Ellipsoids3D, **look)
@@ -291,8 +268,6 @@ def log_ellipsoids(
 def _log_mesh(
     play: Playback, entity: str, vertices: NDArray[np.float64], faces: NDArray[np.int64], colour: tuple[int, ...]
 ) -> None:
-    import rerun as rr
-
     play.once(entity, rr.Mesh3D, albedo_factor=colour)
     normals = vertex_normals(vertices, faces)
     corners = rr.Mesh3D.columns(vertex_positions=vertices, vertex_normals=normals).partition([len(vertices)])

@@ -11,15 +11,16 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import position_covariance, view_azimuth
+from fgrecon.core.geometry import position_covariance
 from fgrecon.viz import entities, style
 from fgrecon.viz.blueprint import scene_blueprint
 from fgrecon.viz.columns import Outbox, fixed_columns, made_columns, strip_columns
-from fgrecon.viz.describe import scene_table
+from fgrecon.viz.describe import scene_table, state_in_words
 from fgrecon.viz.geometry import NOSE, ground_lines
 from fgrecon.viz.playback import Playback
 from fgrecon.viz.plots import log_summary
@@ -65,8 +66,6 @@ def scene_recording_of(vehicles: Sequence[SolvedVehicle], *, ground: Ground | No
 
 def _log_place(out: Outbox, members: Sequence[Member], ground: Ground | None) -> None:
     """Camera, photograph, 2D boxes and ground: what all vehicles have in common."""
-    import rerun as rr
-
     photograph = members[0].vehicle.photograph
     solved = [member.vehicle for member in members if member.vehicle.solved]
     first = max(solved, key=lambda s: float(s.reconstruction.location[2])) if solved else members[0].vehicle
@@ -90,8 +89,6 @@ def _evenly(far: float) -> NDArray[np.float64]:
 
 def named_boxes(vehicles: Sequence[DrawnVehicle]) -> Any:
     """The 2D boxes as a `rerun.Boxes2D`, in the vehicles' colours and with their names and words."""
-    import rerun as rr
-
     return rr.Boxes2D(
         array=np.array([vehicle.box for vehicle in vehicles]).reshape(-1, 4),
         array_format=rr.Box2DFormat.XYXY,
@@ -103,8 +100,6 @@ def named_boxes(vehicles: Sequence[DrawnVehicle]) -> Any:
 
 def _log_position(play: Playback, member: Member) -> None:
     """Heading with the name, and how far the position is known."""
-    import rerun as rr
-
     result, colour = play.vehicle.reconstruction, tuple(style.readable(style.categorical(member.number)).tolist())
     arrow = rr.Arrows3D(
         origins=[(0.0, 0.0, 0.0)],
@@ -122,8 +117,6 @@ def _log_position(play: Playback, member: Member) -> None:
 
 def _log_states(play: Playback, member: Member) -> None:
     """Stage and visible side of every step, as far as they change, and at last the status."""
-    import rerun as rr
-
     entity, stem = f"{entities.STATES}/{member.name}", replace(play, stream=play.stream.branch(str))
     states = [state_in_words(step.stage, step.camera_T_object) for step in play.steps]
     status = play.vehicle.reconstruction.status.value
@@ -133,9 +126,3 @@ def _log_states(play: Playback, member: Member) -> None:
         stem.at_steps(entity, rr.StateChange.columns(state=[states[row] for row in changes]), changes)
     else:
         stem.at_result(entity, rr.StateChange.columns(state=[status]))
-
-
-def state_in_words(what: str, camera_T_object: NDArray[np.float64]) -> str:
-    """A status or stage, and whether the camera observes the vehicle's front or its rear."""
-    azimuth = float(view_azimuth(camera_T_object[:3, :3], camera_T_object[:3, 3]))
-    return f"{what}, {'front' if abs(azimuth) < np.pi / 2 else 'rear'}"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.history import GraphFactor
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.text import distinct
@@ -244,3 +245,21 @@ class TrackInputs:
         image = None if self.images is None else self.images[index]
         truth = None if self.truths is None else self.truths[index]
         return SolvedVehicle(result, observation, self.cameras[index], image, truth)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedFrame:
+    """One frame as it is recorded."""
+
+    number: int  # of the frame
+    time: float  # seconds
+    image: NDArray[np.uint8] | None  # (H, W, 3) RGB bytes, or None
+    vehicles: tuple[DrawnVehicle, ...] = ()  # what it shows
+    # (4, 4) pose of the camera; None takes the camera's frame for the world
+    world_T_camera: NDArray[np.float64] | None = None
+    problem: str | None = None  # why it could not be read, or None
+    # what is plotted of each vehicle, by its id: name and numbers, such as a value and its band
+    values: Mapping[int, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
+    # what becomes of each vehicle, by its id: a word or two; None for one that is no longer observed
+    states: Mapping[int, str | None] = field(default_factory=dict)
+    window: tuple[GraphFactor, ...] = ()  # factors of the window of one of them; empty leaves the graph as it was

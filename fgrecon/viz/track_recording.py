@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.track_reconstruction import TrackReconstruction
@@ -112,8 +113,6 @@ class _Track:
 
     def joint_times(self, rows: Sequence[int] | None = None) -> list[Any]:
         """Time columns of joint steps, all of them by default."""
-        import rerun as rr
-
         chosen = np.arange(self.joint_steps) if rows is None else np.array(rows)
         updates = np.array([self.track.history[int(row)].irls for row in chosen], dtype=np.int64)
         return [
@@ -136,8 +135,6 @@ class _Track:
 
 def _frame_times(plays: Sequence[Playback]) -> list[Any]:
     """Time column of frames."""
-    import rerun as rr
-
     return [rr.TimeColumn(entities.FRAME, sequence=np.array([play.frame for play in plays], dtype=np.int64))]
 
 
@@ -180,8 +177,6 @@ def _log_paths(whole: _Track) -> None:
 def _log_path(
     whole: _Track, entity: str, points: NDArray[np.float64], plays: Sequence[Playback], colour: style.Colour
 ) -> None:
-    import rerun as rr
-
     whole.stream.send_fixed(entity, **line_style(3, colour, 1.5))
     columns = rr.LineStrips3D.columns(strips=[points[: end + 1] for end in range(len(points))])
     whole.stream.send_columns(entity, _frame_times(plays), columns)
@@ -199,8 +194,6 @@ def _log_frame_plots(whole: _Track) -> None:
 
 def _log_joint(whole: _Track) -> None:
     """The joint optimisation: all wireframes, energies, coefficients, and every field of every step."""
-    import rerun as rr
-
     history, times = whole.track.history, whole.joint_times()
     edges = whole.track.frames[0].shape.edges
     shapes = np.stack([Rows([p]).keypoints_in_camera[-len(history) :] for p in whole.plays], axis=1)  # (n, T, K, 3)
@@ -224,8 +217,6 @@ def _log_joint(whole: _Track) -> None:
 
 def _log_words(whole: _Track) -> None:
     """What became of every image, every joint weight update, how it ended and why; and the summary."""
-    import rerun as rr
-
     track = whole.track
     for index, reason in track.refused.items():
         line = f"frame {whole.inputs.number(index)} was refused: {reason}"

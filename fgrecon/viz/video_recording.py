@@ -7,17 +7,16 @@ on.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
 from itertools import chain
 from typing import Any
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
-from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.core.text import whole_text
 from fgrecon.viz import entities, style
 from fgrecon.viz.blueprint import video_blueprint
@@ -25,29 +24,11 @@ from fgrecon.viz.factor_graph import graph_archetypes, lay_out
 from fgrecon.viz.geometry import BOX_EDGES, NOSE, outline_corners
 from fgrecon.viz.scene_recording import named_boxes
 from fgrecon.viz.sinks import APPLICATION, Recording, connected
-from fgrecon.viz.subjects import DrawnVehicle, jpeg
+from fgrecon.viz.subjects import DrawnVehicle, RecordedFrame, jpeg
 
 _JPEG = 85  # quality
 _RING, _RINGS = 10.0, 5  # metres between circles, and how many there are
 _BAND = 0.75  # width of the lines of a band; the value between them has 2
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedFrame:
-    """One frame as it is recorded."""
-
-    number: int  # of the frame
-    time: float  # seconds
-    image: NDArray[np.uint8] | None  # (H, W, 3) RGB bytes, or None
-    vehicles: tuple[DrawnVehicle, ...] = ()  # what it shows
-    # (4, 4) pose of the camera; None takes the camera's frame for the world
-    world_T_camera: NDArray[np.float64] | None = None
-    problem: str | None = None  # why it could not be read, or None
-    # what is plotted of each vehicle, by its id: name and numbers, such as a value and its band
-    values: Mapping[int, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
-    # what becomes of each vehicle, by its id: a word or two; None for one that is no longer observed
-    states: Mapping[int, str | None] = field(default_factory=dict)
-    window: tuple[GraphFactor, ...] = ()  # factors of the window of one of them; empty leaves the graph as it was
 
 
 class LiveRecording:
@@ -103,8 +84,6 @@ class _FrameLog:
     """
 
     def __init__(self, stream: Any, camera: Camera) -> None:
-        import rerun as rr
-
         self._stream = stream
         self._plotted: set[str] = set()
         self._has_points = False
@@ -137,8 +116,6 @@ class _FrameLog:
 
     def add(self, frame: RecordedFrame) -> None:
         """Log one frame; what was observed before and is not now is cleared."""
-        import rerun as rr
-
         log = self._stream.log
         self._stream.set_time("frame", sequence=frame.number)
         self._stream.set_time("time", duration=frame.time)
@@ -162,8 +139,6 @@ class _FrameLog:
 
     def _log_vehicles(self, vehicles: Sequence[DrawnVehicle], world_T_camera: NDArray[np.float64]) -> None:
         """Boxes, wireframes, headings and paths of the vehicles that have a pose."""
-        import rerun as rr
-
         flat, solid, noses, trails = [], [], [], []  # of each vehicle
         for vehicle in vehicles:
             result = vehicle.result
@@ -201,8 +176,6 @@ class _FrameLog:
 
     def _log_points(self, vehicles: Sequence[DrawnVehicle], world_T_camera: NDArray[np.float64]) -> None:
         """The points of other sensors, of a video that has any; those of the frame before go."""
-        import rerun as rr
-
         known = [v.result.diagnostics for v in vehicles if v.result is not None and len(v.result.diagnostics.points)]
         self._has_points = self._has_points or bool(known)
         if self._has_points:
@@ -213,8 +186,6 @@ class _FrameLog:
 
     def send_plots(self) -> None:
         """Send the values of the vehicles that were not sent yet, in their colours, with their bands."""
-        import rerun as rr
-
         for (name, identity), rows in self._plots.items():
             entity = f"{entities.PLOTS}/{name}/{identity}"
             frames, times, values = zip(*rows, strict=True)

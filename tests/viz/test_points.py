@@ -9,7 +9,8 @@ import pytest
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.viz import DrawnVehicle, SolvedVehicle, entities, recording_of, scene_picture, style
 from fgrecon.viz.overlay import annotated
-from fgrecon.viz.video_recording import RecordedFrame, video_recording_of
+from fgrecon.viz.subjects import RecordedFrame
+from fgrecon.viz.video_recording import video_recording_of
 from tests.results import changed
 
 from .test_video_recording import rows_of

@@ -9,7 +9,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import GraphFactor, Status
 from fgrecon.viz import DrawnVehicle, entities
 from fgrecon.viz.sinks import LOOPBACK, free_port, viewer_command
-from fgrecon.viz.video_recording import LiveRecording, RecordedFrame, video_recording_of
+from fgrecon.viz.subjects import RecordedFrame
+from fgrecon.viz.video_recording import LiveRecording, video_recording_of
 from tests.viz.test_blueprint import layout_of
 from tests.viz.viewers import listening, wait_for
 

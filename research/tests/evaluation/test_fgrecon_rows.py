@@ -1,13 +1,13 @@
 """The rows of fgrecon are told what their names say and nothing else."""
 
-import sys
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import pytest
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.reconstruction import Status
+from fgrecon_research.evaluation import methods
 from fgrecon_research.evaluation.methods import METHODS
 from tests.made_up_track import K, pose_of
 
@@ -23,9 +23,7 @@ def calls(monkeypatch):
         seen.arguments = {"keypoints": keypoints, "intrinsics": intrinsics, **arguments}
         return seen.result
 
-    module = ModuleType("fgrecon.solve.pipeline")
-    module.reconstruct = reconstruct
-    monkeypatch.setitem(sys.modules, "fgrecon.solve.pipeline", module)
+    monkeypatch.setattr(methods, "reconstruct", reconstruct)
     return seen
 
 
