@@ -61,7 +61,7 @@ ROOMS = {
         ),
     },
     "simulation": {"factors", "core", "solve/vehicle"},
-    "viz": {"core", "io", "perception/keypoints", "batch", "video"},
+    "viz": {"factors", "core", "io", "perception/keypoints", "batch", "video"},
     "calibration": {
         *("core", "io", "io/datasets", "io/export", "solve/vehicle", "perception", "perception/keypoints", "video"),
     },

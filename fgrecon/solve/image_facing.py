@@ -72,18 +72,18 @@ def couple_facings(
 def single_pose(
     observation: Observation,
     camera: Camera,
+    model: VehicleModel,
     setup: SolveSetup,
     initial: Box3D | float | None = None,
-    model: VehicleModel | None = None,
 ) -> tuple[Problem, PoseEstimate]:
     """The pose stage of an observation whose neighbours are not known; see `estimate_pose`.
 
     Args:
         observation: Without lens distortion.
         camera: The camera that took the image.
+        model: Of the vehicle, by what its observations say (`SolveSetup.model_of`).
         setup: What holds for all vehicles of the call.
         initial: As `search_pose` takes it; where it is given, which way the vehicle faces is said already.
-        model: Of the vehicle; None for what its observation says.
 
     Raises:
         DegenerateProblemError: No pose is found.
@@ -91,7 +91,6 @@ def single_pose(
     coupled = observation
     if initial is None:
         (coupled,) = couple_facings([observation], camera, setup.prior, setup.options)
-    model = setup.model_of([observation]) if model is None else model
     problem = Problem.of(coupled, camera, model, setup.ground, setup.options)
     start = search_pose(problem, initial)
     return (problem, start) if coupled is observation else _agreeing(problem, start, observation)

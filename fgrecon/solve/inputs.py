@@ -179,7 +179,8 @@ def observe(
     doubt = input_warning_of(given, camera)
     for which, why in strays(observation, camera):
         observation = observation.without(which, category.keypoints, why)
-    return Observed(_with_own_mask(observation.undistorted(camera, category.keypoints), camera), doubt)
+    observation = observation.undistorted(camera, category.keypoints)
+    return Observed(_with_own_mask(observation, camera) if observation.evidence else observation, doubt)
 
 
 def _with_own_mask(observation: Observation, camera: Camera) -> Observation:

@@ -90,7 +90,11 @@ def reconstruct(
         warn_of(InputWarnings.of({"the vehicle": observed.warning}), stacklevel=3)
 
     started = perf_counter()
-    problem, pose = single_pose(with_scales([observed.observation], camera, setup)[0], camera, setup, start)
+    observation, model = observed.observation, setup.model
+    if observation.evidence:
+        model = setup.model_of([observation])
+        (observation,) = with_scales([observation], camera, setup)
+    problem, pose = single_pose(observation, camera, model, setup, start)
     posed = perf_counter()
     seen = [GraphObservation(problem)]
     adjusted = minimise_from_proposals(seen, [pose], factors)

@@ -156,7 +156,7 @@ def _posed(
             observation, doubt = observe(given, camera, setup.prior.category, setup.options)
             doubts.add(f"image {number}", doubt)
             scaled = with_scales([observation], camera, setup)[0]
-            problem, start = single_pose(scaled, camera, setup, model=model)
+            problem, start = single_pose(scaled, camera, model, setup)
         except (DegenerateProblemError, InvalidInputError) as error:
             bad = error if bad is None and isinstance(error, InvalidInputError) else bad
             refused[number] = str(error)

@@ -9,7 +9,7 @@ the energy decides; poses that come close to the best are kept as alternatives.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from fgrecon.core.reconstruction import Alternative, Iteration
 from fgrecon.solve.proposals.irls import algorithm1
 from fgrecon.solve.proposals.point_search import search_with_points
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.proposals.search import search
+from fgrecon.solve.proposals.search import PoseEnergy, search
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.starts import all_starts
 from fgrecon.solve.proposals.terms import Hypotheses
@@ -54,25 +54,21 @@ def search_pose(problem: Problem, initial: Box3D | float | Array | None = None) 
     Raises:
         DegenerateProblemError: No start ends in front of the camera, or the weights leave the pose undetermined.
     """
-    whole = problem
-    missing = problem.model.prior.dimension - problem.options.search.basis_vectors
-    if missing > 0:
-        count = problem.options.search.basis_vectors
-        problem = replace(problem, model=problem.model.truncated(count), energy=problem.energy.truncated(count))
     if problem.options.strategy.is_paper:
-        return _by_algorithm1(problem, missing)
-    starts = all_starts(problem, initial)
-    pictured = problem.energy if not whole.energy.points else replace(problem.energy, points=())
-    result = search(pictured, starts, SETTINGS.iterations, dict(SETTINGS.kept_hypotheses))
+        return _by_algorithm1(problem)
+    dimension = problem.model.prior.dimension
+    moved = min(problem.options.search.basis_vectors, dimension)
+    starts = all_starts(problem, initial).of_dimension(moved)
+    energy = problem.energy.truncated(moved)
+    result = search(energy, starts, SETTINGS.iterations, dict(SETTINGS.kept_hypotheses))
     if not np.isfinite(result.energy[0]):
         raise DegenerateProblemError("keypoints", "no pose in front of the camera", "Check intrinsics, box and points.")
-    found, energies, weights = result.hypotheses, result.energy, result.weights
-    found = replace(found, coefficients=_padded(found.coefficients, missing))
-    if whole.energy.points:
-        with_points = search_with_points(whole, found)
+    found, energies, weights = result.hypotheses.of_dimension(dimension), result.energy, result.weights
+    if problem.energy.points:
+        with_points = search_with_points(problem, found)
         found, energies, weights = with_points.hypotheses, with_points.energy, with_points.weights
     best, coefficients = found.matrices(), found.coefficients
-    visibility = problem.energy.visible_from(best[0])
+    visibility = energy.visible_from(best[0])
     return PoseEstimate(
         camera_T_object=best[0],
         coefficients=coefficients[0],
@@ -82,36 +78,30 @@ def search_pose(problem: Problem, initial: Box3D | float | Array | None = None) 
         alternatives=tuple(
             Alternative(best[i], coefficients[i], float(energies[i] - energies[0])) for i in distinct(best)[1:]
         ),
-        history=_history(problem, result.path, result.path_weights, missing),
+        history=_history(problem, energy, result.path, result.path_weights),
         everywhere=not isinstance(initial, int | float),
     )
 
 
-def _padded(coefficients: Array, missing: int) -> Array:
-    """(H, N) coefficients (H, n) as those of a prior with so many more, which are zero."""
-    zeros = np.zeros((len(coefficients), max(missing, 0)))
-    return np.concatenate([coefficients, zeros], axis=1) if missing > 0 else coefficients
-
-
-def _by_algorithm1(problem: Problem, missing: int) -> PoseEstimate:
+def _by_algorithm1(problem: Problem) -> PoseEstimate:
     try:
         result = algorithm1(problem)
     except DegenerateProblemError as error:  # in the words of this function's caller
         raise DegenerateProblemError("keypoints", error.value, error.fix) from error
-    zero = np.zeros((len(result.poses), problem.model.prior.dimension))
-    path = Hypotheses(result.poses[:, :3, :3], result.poses[:, :3, 3], zero)
+    energy = problem.energy.truncated(0)
+    path = Hypotheses.at_poses(result.poses, 0)
     visibility = problem.energy.visibility(result.poses[-1:])
     last = path.take(np.array([len(path) - 1]))
-    total, _ = problem.energy.evaluate(last)
-    padded = _padded(zero, missing)[0]
+    total, _ = energy.evaluate(last)
+    mean = np.zeros(problem.model.prior.dimension)
     return PoseEstimate(
         camera_T_object=result.poses[-1],
-        coefficients=padded,
+        coefficients=mean,
         weights=result.weights[-1],
         visibility=visibility[0],
         energy=float(total.energy[0]),
-        alternatives=tuple(Alternative(pose, padded, float("nan")) for pose in result.others),
-        history=_history(problem, path, result.weights, missing),
+        alternatives=tuple(Alternative(pose, mean, float("nan")) for pose in result.others),
+        history=_history(problem, energy, path, result.weights),
     )
 
 
@@ -126,18 +116,19 @@ def distinct(poses: Sequence[Array] | Array) -> list[int]:
     return kept
 
 
-def _history(problem: Problem, path: Hypotheses, weights: Array, missing: int) -> Sequence[Iteration]:
+def _history(problem: Problem, energy: PoseEnergy, path: Hypotheses, weights: Array) -> Sequence[Iteration]:
     """The steps of the search, made when they are looked at; none where they are not wanted."""
-    return Deferred(lambda: _steps(problem, path, weights, missing)) if problem.options.keep_history else ()
+    dimension = problem.model.prior.dimension
+    return Deferred(lambda: _steps(energy, path, weights, dimension)) if problem.options.keep_history else ()
 
 
-def _steps(problem: Problem, path: Hypotheses, weights: Array, missing: int) -> tuple[Iteration, ...]:
-    energies, keypoints = problem.energy.energies(path), problem.energy.keypoints
+def _steps(energy: PoseEnergy, path: Hypotheses, weights: Array, dimension: int) -> tuple[Iteration, ...]:
+    energies, keypoints = energy.energies(path), energy.keypoints
     points = keypoints.mean + np.tensordot(path.coefficients, keypoints.basis, axes=1)
     camera = points @ path.rotation.transpose(0, 2, 1) + path.translation[:, None]
     homogeneous = camera @ keypoints.matrix.T
     pixels = homogeneous[..., :2] / homogeneous[..., 2:]
-    coefficients = _padded(path.coefficients, missing)
+    coefficients = path.of_dimension(dimension).coefficients
     return tuple(
         Iteration(
             stage="pose" if i else "initialisation",
@@ -148,7 +139,7 @@ def _steps(problem: Problem, path: Hypotheses, weights: Array, missing: int) -> 
             keypoints=points[i],
             projections=pixels[i],
             weights=weights[i],
-            energies={name: float(energy[i]) for name, energy in energies.items()},
+            energies={name: float(values[i]) for name, values in energies.items()},
         )
         for i, pose in enumerate(path.matrices())
     )

@@ -40,7 +40,7 @@ def all_starts(problem: Problem, initial: Box3D | float | Array | None = None) -
     clock = 2.0 * np.pi * np.arange(count) / count
     parts = [at_azimuths(box, camera, model, ground, clock, relative=True)]
     if isinstance(initial, Box3D):
-        parts.append(from_box3d(initial, model, ground))
+        parts.append(from_box3d(initial, model, ground, problem.options.search.basis_vectors))
     if foreseen is not None:
         parts.append(Hypotheses.at_poses(foreseen, model.prior.dimension))
     else:
@@ -126,15 +126,15 @@ def _extents(points: Array, rotation: Array, ray: Array) -> tuple[Array, Array, 
     return across.min(axis=1), across.max(axis=1), turned[..., 2].min(axis=1)
 
 
-def from_box3d(box: Box3D, model: VehicleModel, ground: Ground | None) -> Hypotheses:
-    """One start at a 3D box, with the coefficients whose box comes closest to its size."""
+def from_box3d(box: Box3D, model: VehicleModel, ground: Ground | None, count: int | None = None) -> Hypotheses:
+    """One start at a 3D box, with the coefficients (the first so many) whose box comes closest to its size."""
     rotation = yaw_rotation([box.rotation_y])
     if ground is not None:
         rotation = ground.upright @ rotation
     coefficients = np.zeros(model.prior.dimension)
-    if box.size is not None and len(coefficients):
-        basis = model.dimension_basis
+    basis = model.dimension_basis[:, :count]
+    if box.size is not None and basis.size:
         # Most probable coefficients of this size to within 5 cm: the posterior mean under N(0, I).
         gain = basis.T @ np.linalg.inv(basis @ basis.T + 0.05**2 * np.eye(3))
-        coefficients = gain @ (box.size - model.dimension_mean)
+        coefficients[:count] = gain @ (box.size - model.dimension_mean)
     return Hypotheses(rotation, box.location[None], coefficients[None])

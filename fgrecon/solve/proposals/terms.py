@@ -70,6 +70,13 @@ class Hypotheses:
             np.where(mask[:, None], self.coefficients, other.coefficients),
         )
 
+    def of_dimension(self, count: int) -> Hypotheses:
+        """The same with the first so many coefficients alone, or with further ones, which are zero."""
+        coefficients = np.zeros((len(self), count))
+        kept = self.coefficients[:, :count]
+        coefficients[:, : kept.shape[1]] = kept
+        return Hypotheses(self.rotation, self.translation, coefficients)
+
     def matrices(self) -> Array:
         """(H, 4, 4) camera_T_object."""
         result = np.zeros((len(self), 4, 4))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -81,21 +81,6 @@ class VehicleModel:
         basis, by_size = self.dimension_basis, self.by_size
         change: Array = by_size @ (sizes - basis @ basis.T) @ by_size.T
         return np.eye(len(by_size)) + change
-
-    def truncated(self, dimension: int) -> VehicleModel:
-        """The same model with the first `dimension` coefficients alone: what the search for poses moves; remembered."""
-        return _truncated(self, dimension)
-
-
-@lru_cache(maxsize=16)
-def _truncated(model: VehicleModel, dimension: int) -> VehicleModel:
-    return replace(
-        model,
-        prior=model.prior.truncated(dimension),
-        outline=LinearPoints(model.outline.mean, model.outline.basis[:dimension]),
-        corners=LinearPoints(model.corners.mean, model.corners.basis[:dimension]),
-        dimension_basis=model.dimension_basis[:, :dimension],
-    )
 
 
 @lru_cache(maxsize=16)
