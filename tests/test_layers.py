@@ -133,7 +133,7 @@ ROOMS = {
         *("core", "io", "viz", "cli", "research/evaluation", "research/training/priors"),
         *("research", "research/paper", "research/cli/evaluate"),
     },
-    "research/cli": {"cli", "research/cli/evaluate", "research/cli/training", "research/cli/paper"},
+    "research/cli": {"cli"},
 }
 """Each room, and the rooms that its files may import."""
 
