@@ -22,7 +22,7 @@ from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.files import write_text
-from fgrecon.io.frames import SourceFrame
+from fgrecon.io.source_frames import SourceFrame
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.run import VideoRun
 from fgrecon.video.video_job import VideoRequest, prepare_video, track_video, write_tracks

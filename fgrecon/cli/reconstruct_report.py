@@ -11,7 +11,7 @@ from fgrecon.batch.solve_tasks import Outcome, SolvedImage
 from fgrecon.cli.terminal import Screen, compact_table
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.text import printable
-from fgrecon.solve.track import TrackReconstruction
+from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz.outcomes import HEADINGS, cells_of, clause_of, message_of
 
 _ROWS = 300  # vehicles that the table has at most: it is for eyes, and slow to lay out

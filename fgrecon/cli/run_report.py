@@ -17,8 +17,8 @@ from fgrecon.cli.options import Viewer
 from fgrecon.cli.terminal import Advance, Screen, compact_table
 from fgrecon.core.text import counted
 from fgrecon.io.files import write_text
-from fgrecon.io.frames import SourceFrame
 from fgrecon.io.run_settings import camera_to_dict, content_hash, settings_to_dict
+from fgrecon.io.source_frames import SourceFrame
 from fgrecon.video import VideoRun
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.video_job import VideoJob, track_video

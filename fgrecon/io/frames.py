@@ -21,23 +21,10 @@ import numpy as np
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.bag_frames import BagFrames
-from fgrecon.io.frame_names import DEFAULT_RATE, OrderedImages, distinct_names, frames_by_name, times_of
+from fgrecon.io.frame_names import OrderedImages, distinct_names, frames_by_name, times_of
 from fgrecon.io.images import IMAGES, read_image, refuse_unread
 from fgrecon.io.source_frames import Choice, SourceFrame, sized
 from fgrecon.io.video_frames import VIDEOS, VideoFrames, open_video
-
-__all__ = [
-    "DEFAULT_RATE",
-    "VIDEOS",
-    "FrameSource",
-    "ImageFrames",
-    "NumberedFrames",
-    "SourceFrame",
-    "VideoFrames",
-    "numbered_frames",
-    "open_frames",
-    "timed_frames",
-]
 
 _LEFT_COLOUR = ("image_02", "image_2")
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
 from fgrecon.core.checks import as_instance, as_list, as_rows, as_shape
+from fgrecon.core.choices import BoxOrigin
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.geometry import box_around
@@ -26,7 +27,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX, as_rgb8, large_enough, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, find_keypoints
-from fgrecon.solve.box_origin import BoxOrigin, contradicted_origin, on_bottom
+from fgrecon.solve.box_origin import contradicted_origin, on_bottom
 from fgrecon.solve.inputs import as_ground
 from fgrecon.solve.refine import refined
 from fgrecon.solve.scene import reconstruct_scene

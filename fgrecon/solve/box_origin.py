@@ -12,8 +12,6 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.choices import BoxOrigin
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["BOTTOMS", "CENTRES", "BoxOrigin", "contradicted_origin", "on_bottom", "with_origin"]
-
 CENTRES = (
     "Boxes stand about half their height above the given ground, as boxes do that are given by their centres. "
     "If they are, say so (--box-origin centre, box_origin); else give another ground, or none."

@@ -34,7 +34,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
-from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
+from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
@@ -48,8 +48,6 @@ from fgrecon.solve.threads import single_threaded
 
 if TYPE_CHECKING:
     import gtsam
-
-__all__ = ["JointStep", "TrackReconstruction", "reconstruct_track"]
 
 
 @single_threaded

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 from factors.lazy import lazy_names
 
 if TYPE_CHECKING:  # imported when used
-    from fgrecon.io.frames import SourceFrame, open_frames
+    from fgrecon.io.frames import open_frames
     from fgrecon.io.poses import CameraPoses, read_poses
+    from fgrecon.io.source_frames import SourceFrame
     from fgrecon.io.video import write_video
     from fgrecon.video.association import Association, AssociationSettings, Candidate, GatedAssociation
     from fgrecon.video.egomotion import CameraMotion, camera_motion

@@ -9,9 +9,9 @@ import numpy as np
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import counted
-from fgrecon.io.frames import FrameSource, ImageFrames, VideoFrames
+from fgrecon.io.frames import FrameSource, ImageFrames
 from fgrecon.io.poses import CameraPoses
-from fgrecon.io.video_frames import packet_times
+from fgrecon.io.video_frames import VideoFrames, packet_times
 
 Moments = Sequence[tuple[int, float]]
 """Number and time (seconds) of each frame."""

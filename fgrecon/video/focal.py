@@ -10,7 +10,8 @@ import numpy as np
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.observation import Observation
-from fgrecon.io.frames import FrameSource, SourceFrame
+from fgrecon.io.frames import FrameSource
+from fgrecon.io.source_frames import SourceFrame
 from fgrecon.solve.scene import reconstruct_scenes
 from fgrecon.video.records import FrameRecord
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.frames import SourceFrame
+from fgrecon.io.source_frames import SourceFrame
 from fgrecon.perception.keypoints.detect import check_box, large_enough
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find_keypoints, find_vehicles
 from fgrecon.video.records import FrameRecord, Sighting

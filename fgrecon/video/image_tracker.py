@@ -20,9 +20,9 @@ from fgrecon.core.options import Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.catalogue import load_prior
-from fgrecon.io.frames import SourceFrame
 from fgrecon.io.images import read_image
 from fgrecon.io.poses import CameraPoses
+from fgrecon.io.source_frames import SourceFrame
 from fgrecon.perception.boxes import for_detected
 from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, check_category

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.io.frames import SourceFrame
+from fgrecon.io.source_frames import SourceFrame
 from fgrecon.solve.threads import single_threaded
 from fgrecon.video.egomotion import CameraMotion, camera_motion
 from fgrecon.video.records import FrameRecord, Sighting

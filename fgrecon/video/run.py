@@ -28,7 +28,8 @@ from fgrecon.batch.parts import RECORDS, Parts, begin, claimed, refuse_batch
 from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
 from fgrecon.core.text import counted, whole_text
 from fgrecon.core.vehicle_estimate import VehicleEstimate
-from fgrecon.io.frames import FrameSource, ImageFrames, SourceFrame
+from fgrecon.io.frames import FrameSource, ImageFrames
+from fgrecon.io.source_frames import SourceFrame
 from fgrecon.video.coverage import check_coverage, coverage_warnings, planned_frames
 from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector

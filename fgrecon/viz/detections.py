@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Side
 from fgrecon.viz import style
 from fgrecon.viz.geometry import box_path
 from fgrecon.viz.marks import unit
@@ -64,10 +65,7 @@ def _draw(axes: Any, image: NDArray[np.uint8], detection: CascadeDetection, cate
     axes.set_ylim(high[1], low[1])
     axes.set_xticks([])
     axes.set_yticks([])
-    sides = [
-        style.SIDE_COLOURS[style.Side.LEFT if name.startswith("left") else style.Side.RIGHT]
-        for name in category.keypoints
-    ]
+    sides = [SIDE_COLOURS[Side.LEFT if name.startswith("left") else Side.RIGHT] for name in category.keypoints]
     points = zip(observation.keypoints, observation.confidence, sides, strict=True)
     for keypoint, (point, sure, colour) in enumerate(points, start=1):
         shown = sure >= _SHOWN

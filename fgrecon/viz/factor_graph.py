@@ -16,10 +16,10 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import GraphFactor
+from fgrecon.core.vehicle_mesh import Colour
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Outbox, made_columns
 from fgrecon.viz.playback import Rows
-from fgrecon.viz.style import Colour
 
 _MEANINGS = {"X": "pose", "V": "velocity", "L": "shape", "O": "offsets", "P": "plane", "M": "medial plane"}
 _COLUMN, _ROW, _GAP = 130.0, 30.0, 75.0

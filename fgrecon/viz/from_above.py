@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.geometry import position_covariance, transform
 from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.core.vehicle_mesh import Colour
 from fgrecon.viz import style
 from fgrecon.viz.geometry import NOSE, ellipse, level_axes, outline_corners
 from fgrecon.viz.marks import draw_points, unit
@@ -152,7 +153,7 @@ def _draw_beside(
 
 
 def _draw_vehicle(
-    axes: Any, colour: style.Colour, dashes: Any, footprint: NDArray[np.float64], nose: NDArray[np.float64]
+    axes: Any, colour: Colour, dashes: Any, footprint: NDArray[np.float64], nose: NDArray[np.float64]
 ) -> None:
     """A footprint, filled faintly, and an arrow from its middle beyond its front."""
     axes.fill(*footprint.T, color=unit(colour), alpha=0.22, linewidth=0, zorder=4)
@@ -161,7 +162,7 @@ def _draw_vehicle(
     axes.annotate("", nose[1], nose[0], arrowprops={**look, "color": unit(colour)}, zorder=6, annotation_clip=True)
 
 
-def _draw_region(axes: Any, ring: NDArray[np.float64], colour: style.Colour | None) -> None:
+def _draw_region(axes: Any, ring: NDArray[np.float64], colour: Colour | None) -> None:
     """How far a position is known; with a colour thinly and below the vehicles, where many of them overlap."""
     many = colour is not None
     line = style.INK if colour is None else colour
@@ -197,7 +198,7 @@ def _draw_scale(axes: Any, far: float) -> None:
 def _path(
     axes: Any,
     points: NDArray[np.float64],
-    colour: style.Colour,
+    colour: Colour,
     width: float,
     dashes: Any,
     *,

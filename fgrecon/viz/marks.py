@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import TRUSTED
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Colour, Side
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, Box, box_path, image_points, outline_corners, resolution
-from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
 _LINE = 1.6
@@ -57,7 +57,7 @@ def draw_edges(
     """A wireframe of points (K, 2), each side in its colour on a light casing; edges with a NaN end are left out."""
     for side in (Side.ACROSS, Side.RIGHT, Side.LEFT):
         if side in edges:
-            _draw_lines(axes, points[edges[side]], style.SIDE_COLOURS[side], _LINE, alpha, zorder=3)
+            _draw_lines(axes, points[edges[side]], SIDE_COLOURS[side], _LINE, alpha, zorder=3)
 
 
 def draw_keypoints(
@@ -75,7 +75,7 @@ def draw_keypoints(
 
 
 def draw_points(
-    axes: Any, places: NDArray[np.float64], weights: NDArray[np.float64], colour: style.Colour, zorder: float
+    axes: Any, places: NDArray[np.float64], weights: NDArray[np.float64], colour: Colour, zorder: float
 ) -> None:
     """Points (N, 2) of other sensors: dots of a colour where they are the vehicle's, and faint crosses where not.
 
@@ -122,7 +122,7 @@ def draw_true_box(axes: Any, truth: Truth, camera: Camera) -> None:
 
 
 def _draw_lines(
-    axes: Any, lines: NDArray[np.float64], colour: style.Colour, width: float, alpha: float, zorder: float
+    axes: Any, lines: NDArray[np.float64], colour: Colour, width: float, alpha: float, zorder: float
 ) -> None:
     """Line segments (S, 2, 2); those with a point that is not finite are left out."""
     drawn = list(lines[np.isfinite(lines).all(axis=(1, 2))])
@@ -132,7 +132,7 @@ def _draw_lines(
 def draw_paths(
     axes: Any,
     paths: Sequence[NDArray[np.float64]],
-    colour: style.Colour,
+    colour: Colour,
     width: float,
     dashes: Any,
     *,

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.vehicle_mesh import VehicleMesh
+from fgrecon.core.vehicle_mesh import Colour, VehicleMesh
 from fgrecon.viz.geometry import fan, image_points
-from fgrecon.viz.style import Colour
 
 PosedModel = tuple[VehicleMesh, NDArray[np.float64], Colour]
 """A model, the pose (4, 4) it has, and its colour."""

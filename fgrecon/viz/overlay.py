@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import TRUSTED
+from fgrecon.core.vehicle_mesh import Colour
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, as_image, box_path, image_points, outline_corners
 from fgrecon.viz.subjects import DrawnVehicle
@@ -144,7 +145,7 @@ def _from_above(height: int, width: int, vehicles: Sequence[DrawnVehicle]) -> ND
     return panel
 
 
-def _lines(canvas: NDArray[np.uint8], lines: NDArray[np.float64], colour: style.Colour, width: int) -> None:
+def _lines(canvas: NDArray[np.uint8], lines: NDArray[np.float64], colour: Colour, width: int) -> None:
     """Draw lines (L, P, 2) of pixels; those with a point that is not visible are left out."""
     import cv2
 
@@ -154,7 +155,7 @@ def _lines(canvas: NDArray[np.uint8], lines: NDArray[np.float64], colour: style.
     cv2.polylines(canvas, paths, isClosed=False, color=colour, thickness=width, lineType=cv2.LINE_AA, shift=sharp)
 
 
-def _dots(canvas: NDArray[np.uint8], points: NDArray[np.float64], colour: style.Colour) -> None:
+def _dots(canvas: NDArray[np.uint8], points: NDArray[np.float64], colour: Colour) -> None:
     """Put pixels (N, 2) onto the canvas; those outside are left out."""
     column, row = np.rint(points).astype(np.int64).T
     inside = (column >= 0) & (column < canvas.shape[1]) & (row >= 0) & (row < canvas.shape[0])
@@ -169,9 +170,7 @@ def _plate_size(text: str) -> tuple[int, int]:
     return wide + 3, high + below + 1
 
 
-def _write(
-    canvas: NDArray[np.uint8], text: str, corner: tuple[int, int], paper: style.Colour, ink: style.Colour
-) -> Rectangle:
+def _write(canvas: NDArray[np.uint8], text: str, corner: tuple[int, int], paper: Colour, ink: Colour) -> Rectangle:
     """Write a text on a small plate whose upper left corner is given; returns the plate's pixels."""
     import cv2
 

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Iteration, Status
 from fgrecon.core.text import whole_text
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Colour, Side
 from fgrecon.io.files import check_ending, write_bytes
 from fgrecon.viz import style
 from fgrecon.viz.describe import describe_bounds, describe_errors, median_residual
 from fgrecon.viz.geometry import Box, crop_around, image_points
 from fgrecon.viz.marks import draw_badge, draw_box, draw_crop, draw_edges, draw_keypoints, draw_true_box, unit
 from fgrecon.viz.solid import draw_from_above, draw_three_quarter
-from fgrecon.viz.style import Side
 from fgrecon.viz.subjects import SolvedVehicle
 from fgrecon.viz.truth import Truth
 
@@ -261,13 +261,13 @@ def _draw_legend(figure: Any, truth: Truth | None) -> None:
     """What the colours mean, and the scale of weights."""
     from matplotlib.lines import Line2D
 
-    def line(colour: style.Colour, label: str, width: float = 2.0, dashes: str = "-") -> Any:
+    def line(colour: Colour, label: str, width: float = 2.0, dashes: str = "-") -> Any:
         return Line2D([], [], color=unit(colour), linewidth=width, linestyle=dashes, label=label)
 
     handles = [
-        line(style.SIDE_COLOURS[Side.LEFT], "vehicle's left"),
-        line(style.SIDE_COLOURS[Side.RIGHT], "vehicle's right"),
-        line(style.SIDE_COLOURS[Side.ACROSS], "across"),
+        line(SIDE_COLOURS[Side.LEFT], "vehicle's left"),
+        line(SIDE_COLOURS[Side.RIGHT], "vehicle's right"),
+        line(SIDE_COLOURS[Side.ACROSS], "across"),
         line(style.INK, "keypoint to projection", 1.2),
     ]
     if truth is not None and truth.box_size is not None:

@@ -12,6 +12,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import Iteration
+from fgrecon.core.vehicle_mesh import Side
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Outbox, strip_columns
 from fgrecon.viz.describe import weight_updates
@@ -166,7 +167,7 @@ class Rows:
         return np.concatenate([rows + start for rows, start in zip(before, starts, strict=False)])
 
     @cached_property
-    def edges(self) -> Mapping[style.Side, NDArray[np.int64]]:
+    def edges(self) -> Mapping[Side, NDArray[np.int64]]:
         """The wireframe's edges by side; a side without edges is left out."""
         return {
             side: edges

@@ -10,11 +10,11 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.core.vehicle_mesh import Colour, keypoint_sides
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Outbox, exact_column, fixed_columns
 from fgrecon.viz.describe import describe_stop, describe_update, median_residual, summary_table
 from fgrecon.viz.playback import Playback, Rows
-from fgrecon.viz.style import Colour
 
 INFO, WARN = "INFO", "WARN"
 """Levels of the log's lines; that of a failure is `ERROR`."""
@@ -43,7 +43,7 @@ class PlotSink:
 
     def weights(self, weights: NDArray[np.float64], result: Reconstruction) -> None:
         """Weights (n, K) of the keypoints of a result."""
-        sides = style.keypoint_sides(result.shape.keypoint_names, result.wireframe)
+        sides = keypoint_sides(result.shape.keypoint_names, result.wireframe)
         names = tuple(name.replace("_", " ") for name in result.shape.keypoint_names)
         self._send(entities.WEIGHTS, weights, names, style.series_colours(sides))
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Side, edge_sides, keypoint_sides
 from fgrecon.viz import style
 from fgrecon.viz.marks import draw_edges, unit
 
@@ -45,8 +46,8 @@ def prior_picture(prior: ShapePrior, modes: int | None = None) -> Any:
     width, height = 3 * _CELL[0], (count + 1) * _CELL[1] + _TITLE
     figure = Figure(figsize=(width, height), facecolor=unit(style.PAPER))
     FigureCanvasAgg(figure)
-    sides = style.keypoint_sides(prior.category.keypoints, prior.mean)
-    edges = style.edge_sides(np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2), sides)
+    sides = keypoint_sides(prior.category.keypoints, prior.mean)
+    edges = edge_sides(np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2), sides)
     extremes = _extremes(prior, count)
     limits = {name: _limits(extremes, view) for name, view in _VIEWS.items()}
     for row in range(count + 1):
@@ -103,7 +104,7 @@ def _draw_cell(
     prior: ShapePrior,
     extremes: NDArray[np.float64],
     view: tuple[int, int, int, int],
-    edges: dict[style.Side, NDArray[np.int64]],
+    edges: dict[Side, NDArray[np.int64]],
     *,
     mean: bool,
 ) -> None:
@@ -117,7 +118,7 @@ def _draw_cell(
     for shape, dashes in zip(extremes, ("--", "-"), strict=True):
         flat = _flat(shape, view)
         for side, group in edges.items():
-            colour = unit(style.SIDE_COLOURS[side])
+            colour = unit(SIDE_COLOURS[side])
             axes.add_collection(LineCollection(list(flat[group]), colors=[colour], linestyles=dashes, linewidths=1.0))
     ends = _flat(extremes, view)
     axes.add_collection(LineCollection(list(ends.swapaxes(0, 1)), colors=[unit(style.UNCERTAINTY)], linewidths=1.2))

@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.viz import style
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, SURFACE, edge_sides, keypoint_sides
 from fgrecon.viz.prior_picture import MODE_RANGE
 from fgrecon.viz.sinks import APPLICATION, Recording
 
@@ -61,13 +61,13 @@ def _coefficients(prior: ShapePrior) -> tuple[NDArray[np.int64], NDArray[np.floa
 
 def _log(stream: Any, prior: ShapePrior) -> None:
     modes, coefficients = _coefficients(prior)
-    sides = style.keypoint_sides(prior.category.keypoints, prior.mean)
-    edges = style.edge_sides(np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2), sides)
+    sides = keypoint_sides(prior.category.keypoints, prior.mean)
+    edges = edge_sides(np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2), sides)
     stream.log("prior", rr.ViewCoordinates.RDF, static=True)
     points = rr.Points3D(
         prior.mean,
         labels=list(prior.category.keypoints),
-        colors=[style.SIDE_COLOURS[side] for side in sides],
+        colors=[SIDE_COLOURS[side] for side in sides],
         radii=-3.5,
         show_labels=False,
     )
@@ -78,13 +78,13 @@ def _log(stream: Any, prior: ShapePrior) -> None:
         shape = prior.keypoints(row)
         for side, group in edges.items():
             if len(group):
-                strips = rr.LineStrips3D(shape[group], colors=style.SIDE_COLOURS[side], radii=_RADIUS)
+                strips = rr.LineStrips3D(shape[group], colors=SIDE_COLOURS[side], radii=_RADIUS)
                 stream.log(f"prior/wireframe/{side.value}", strips)
         if prior.surface is not None:
             mesh = rr.Mesh3D(
                 vertex_positions=prior.surface.vertices(row),
                 triangle_indices=prior.surface.faces,
-                albedo_factor=style.SURFACE,
+                albedo_factor=SURFACE,
             )
             stream.log("prior/surface", mesh)
         for index, value in enumerate(row):

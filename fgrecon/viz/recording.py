@@ -14,6 +14,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, SURFACE
 from fgrecon.viz import entities, style
 from fgrecon.viz.blueprint import vehicle_blueprint
 from fgrecon.viz.columns import Outbox, fixed_columns, strip_columns
@@ -171,7 +172,7 @@ def _log_image_steps(rows: Rows) -> None:
         rows.strips(entities.RESIDUALS, rr.LineStrips2D, np.stack([rows.detected, rows.pixels], axis=2))
     for side, edges in rows.edges.items():
         entity = f"{entities.WIREFRAME_2D}/{side.value}"
-        rows.once(entity, **line_style(2, style.SIDE_COLOURS[side], _LINE, 10.0))
+        rows.once(entity, **line_style(2, SIDE_COLOURS[side], _LINE, 10.0))
         rows.strips(entity, rr.LineStrips2D, rows.pixels[:, edges])
     rows.once(entities.PREVIOUS_2D, **line_style(2, (*style.PREVIOUS, _FAINT), 0.6, 8.0))
     rows.strips(entities.PREVIOUS_2D, rr.LineStrips2D, rows.pixels[rows.previous][:, result.shape.edges])
@@ -187,7 +188,7 @@ def _log_scene_steps(rows: Rows) -> None:
     rows.send(entities.KEYPOINTS_3D, points.partition([rows.keypoints.shape[1]] * len(rows.steps)))
     for side, edges in rows.edges.items():
         entity = f"{entities.WIREFRAME_3D}/{side.value}"
-        rows.once(entity, **line_style(3, style.SIDE_COLOURS[side], _LINE))
+        rows.once(entity, **line_style(3, SIDE_COLOURS[side], _LINE))
         rows.strips(entity, rr.LineStrips3D, rows.keypoints[:, edges])
     rows.once(entities.PREVIOUS_3D, **line_style(3, (*style.PREVIOUS, _FAINT), 0.6))
     before = rows.keypoints_in_camera[rows.previous]
@@ -223,7 +224,7 @@ def log_result(play: Playback) -> None:
     corners = outline_corners(result.box_size)[None, BOX_EDGES]
     play.at_result(entities.VEHICLE_BOX, strip_columns(rr.LineStrips3D, corners))
     if result.shape.surface_vertices is not None and result.shape.surface_faces is not None:
-        colour = (*style.SURFACE, _SURFACE_ALPHA)
+        colour = (*SURFACE, _SURFACE_ALPHA)
         _log_mesh(play, entities.SURFACE, result.shape.surface_vertices, result.shape.surface_faces, colour)
     if len(result.diagnostics.points):
         _log_points(play)

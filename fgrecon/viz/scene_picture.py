@@ -16,6 +16,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Status
+from fgrecon.core.vehicle_mesh import Colour
 from fgrecon.viz import style
 from fgrecon.viz.from_above import DASHES, FONT, TRUE_DASHES, draw_scene_from_above, ellipse_scale, extent_from_above
 from fgrecon.viz.geometry import (
@@ -179,7 +180,7 @@ def _name(axes: Any, vehicles: Sequence[DrawnVehicle]) -> None:
         plates.put(vehicle.label, top, _TAGS, style.categorical(vehicle.identity))
 
 
-def _draw_ground(axes: Any, scene: DrawnScene, ground: Ground, depth: DepthImage, colour: style.Colour) -> None:
+def _draw_ground(axes: Any, scene: DrawnScene, ground: Ground, depth: DepthImage, colour: Colour) -> None:
     """The horizon, and a grid on the ground as far as vehicles are."""
     camera, places = scene.camera, [pose[:3, 3] for *_, pose in scene.posed]
     lines = ground_lines(ground, places, lambda far: _AHEAD[max(far, _AHEAD[0]) >= _AHEAD])

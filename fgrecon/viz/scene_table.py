@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import Status
+from fgrecon.core.vehicle_mesh import Colour
 from fgrecon.viz import style
 from fgrecon.viz.describe import LEVEL, bounds_of, describe_bounds
 from fgrecon.viz.from_above import DASHES, FONT, START_DASHES, TRUE_DASHES
@@ -161,7 +162,7 @@ def draw_key(axes: Any, scene: DrawnScene, room: float, lines: float, scale: flo
     """
     solved = [result for _, result, _ in scene.posed]
     ink, there = style.INK, {result.status for result in solved}
-    entries: list[tuple[Any, style.Colour, str]] = [(DASHES[s], ink, s.value) for s in Status if s in there]
+    entries: list[tuple[Any, Colour, str]] = [(DASHES[s], ink, s.value) for s in Status if s in there]
     if len(solved) < len(scene.vehicles):
         entries.append((DASHES[Status.FAILED], ink, "no pose: 2D box"))
     if scene.starts:

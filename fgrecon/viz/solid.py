@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.vehicle_mesh import SURFACE, Side
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, outline_corners
 from fgrecon.viz.marks import draw_edges, draw_grid, unit
 from fgrecon.viz.occlusion import shading
-from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
 _OBLIQUE, _ELEVATION = np.radians(52.0), np.radians(18.0)
@@ -89,7 +89,7 @@ def _shade(axes: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -
     corners = vertices[faces]
     light = shading(corners, _LIGHT, np.broadcast_to([0.0, 0.0, 1.0], (len(corners), 3)))
     order = np.argsort(corners[:, :, 2].mean(axis=1))
-    colours = np.clip(unit(style.SURFACE) * light[order, None] * 1.12, 0.0, 1.0)
+    colours = np.clip(unit(SURFACE) * light[order, None] * 1.12, 0.0, 1.0)
     # Rasterised: thousands of tiny triangles would swell a vector file. Their own colour on the edges closes seams.
     mesh = PolyCollection(
         list(corners[order, :, :2]), facecolors=colours, edgecolors=colours, linewidths=0.3, rasterized=True, zorder=1

@@ -14,38 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.vehicle_mesh import SIDE_COLOURS, SURFACE, Colour, Side, edge_sides, keypoint_sides
-
-__all__ = [
-    "BACKGROUND",
-    "ENERGY_COLOURS",
-    "FADED",
-    "GROUND",
-    "HAIRLINE",
-    "INK",
-    "MODEL",
-    "PAPER",
-    "PREVIOUS",
-    "SCREEN_BACKGROUND",
-    "SCREEN_INK",
-    "SIDE_COLOURS",
-    "SURFACE",
-    "TRUTH",
-    "UNCERTAINTY",
-    "VARIABLE",
-    "Colour",
-    "Side",
-    "categorical",
-    "edge_sides",
-    "edges_by_side",
-    "energy_colour",
-    "keypoint_sides",
-    "plane_colour",
-    "readable",
-    "series_colours",
-    "weight_colours",
-    "weight_radii",
-]
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Colour, Side, edge_sides, keypoint_sides
 
 TRUTH: Colour = (40, 185, 110)
 """What is known to be true: green."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.geometry import box_around
+from fgrecon.core.vehicle_mesh import Colour
 from fgrecon.viz import style
 from fgrecon.viz.marks import unit
 
@@ -32,7 +33,7 @@ class Plates:
         """Let no plate cover the rectangle around points (n, 2) of the axes' own coordinates."""
         self.taken.append(box_around(self._points(points)))
 
-    def put(self, text: str, outline: NDArray[np.float64], towards: Iterable[Place], colour: style.Colour) -> None:
+    def put(self, text: str, outline: NDArray[np.float64], towards: Iterable[Place], colour: Colour) -> None:
         """Put a plate near what it names, where it covers least; a line leads to it from farther away.
 
         The plate is sought around the mean of the outline (n, 2), in the axes' own coordinates, in directions (right,

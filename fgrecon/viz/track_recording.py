@@ -17,6 +17,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.track_reconstruction import TrackReconstruction
+from fgrecon.core.vehicle_mesh import Colour
 from fgrecon.viz import entities, style
 from fgrecon.viz.blueprint import track_blueprint
 from fgrecon.viz.columns import Outbox, exact_column, strip_columns
@@ -175,7 +176,7 @@ def _log_paths(whole: _Track) -> None:
 
 
 def _log_path(
-    whole: _Track, entity: str, points: NDArray[np.float64], plays: Sequence[Playback], colour: style.Colour
+    whole: _Track, entity: str, points: NDArray[np.float64], plays: Sequence[Playback], colour: Colour
 ) -> None:
     whole.stream.send_fixed(entity, **line_style(3, colour, 1.5))
     columns = rr.LineStrips3D.columns(strips=[points[: end + 1] for end in range(len(points))])

@@ -6,7 +6,7 @@ import pytest
 from fgrecon.core.camera import Camera
 from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_prior
-from fgrecon.io.frames import SourceFrame
+from fgrecon.io.source_frames import SourceFrame
 from fgrecon.video.focal import estimate_camera
 from fgrecon.video.records import FrameRecord, Sighting
 from tests.cars import CAMERA, observe, yaw_pose

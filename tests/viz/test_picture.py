@@ -12,9 +12,9 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Status
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Side
 from fgrecon.viz import SolvedVehicle, as_rgb, contact_sheet, picture, save_picture, style
 from fgrecon.viz.describe import describe_errors
-from fgrecon.viz.style import Side
 from tests.results import changed
 from tests.viz.made_up import Example
 
@@ -73,7 +73,7 @@ def test_panels_are_those_of_the_paper(example: Example) -> None:
 
 def test_left_right_truth_and_residuals_are_seen(example: Example) -> None:
     image = as_rgb(draw(example, image=None))
-    for colour in (*(style.SIDE_COLOURS[side] for side in Side), style.TRUTH, style.INK):
+    for colour in (*(SIDE_COLOURS[side] for side in Side), style.TRUTH, style.INK):
         assert pixels_of(image, colour) > 100, colour
     bare = as_rgb(draw(example, image=None, truth=None))
     assert pixels_of(bare, style.TRUTH, 2) < 0.02 * pixels_of(image, style.TRUTH, 2)
@@ -124,7 +124,7 @@ def test_a_bare_result_is_drawn(example: Example) -> None:
     nothing = np.full_like(example.observation.keypoints, np.nan)
     observation = replace(example.observation, keypoints=nothing, box=None)
     figure = draw(example, reconstruction=bare, observation=observation, image=None, truth=None)
-    assert pixels_of(as_rgb(figure), style.SIDE_COLOURS[Side.LEFT]) > 100
+    assert pixels_of(as_rgb(figure), SIDE_COLOURS[Side.LEFT]) > 100
 
 
 def test_the_3d_view_takes_the_corner_that_the_camera_sees(example: Example) -> None:

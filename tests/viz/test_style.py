@@ -7,8 +7,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Side, edge_sides, keypoint_sides
 from fgrecon.viz import style
-from fgrecon.viz.style import Side
 
 # Machado, Oliveira and Fernandes (2009), severity 1, on linear RGB.
 VISION = {
@@ -31,12 +31,12 @@ def lab(colour: tuple[int, int, int], vision: str = "full") -> np.ndarray:
 
 @pytest.mark.parametrize("vision", VISION)
 def test_sides_truth_and_residuals_stay_apart(vision: str) -> None:
-    for a, b in combinations([*style.SIDE_COLOURS.values(), style.TRUTH, style.INK], 2):
+    for a, b in combinations([*SIDE_COLOURS.values(), style.TRUTH, style.INK], 2):
         assert np.linalg.norm(lab(a, vision) - lab(b, vision)) > 20
 
 
 def test_left_and_right_stay_far_apart() -> None:
-    left, right = style.SIDE_COLOURS[Side.LEFT], style.SIDE_COLOURS[Side.RIGHT]
+    left, right = SIDE_COLOURS[Side.LEFT], SIDE_COLOURS[Side.RIGHT]
     assert min(np.linalg.norm(lab(left, v) - lab(right, v)) for v in VISION) > 40
 
 
@@ -63,16 +63,16 @@ def test_weights_out_of_range_are_clipped_and_nan_is_nothing() -> None:
 def test_sides_come_from_names_else_from_z() -> None:
     wireframe = np.array([[0, 0, -1.0], [0, 0, 1.0], [0, 0, 1.0], [0, 0, -1.0], [0, 0, 0.0], [0, 0, np.nan]])
     names = ("left_wheel", "right_wheel", "p3", "p4", "p5", "p6")
-    sides = style.keypoint_sides(names, wireframe)
+    sides = keypoint_sides(names, wireframe)
     assert sides == (Side.LEFT, Side.RIGHT, Side.LEFT, Side.RIGHT, Side.ACROSS, Side.ACROSS)
-    split = style.edge_sides(np.array([(0, 2), (1, 3), (0, 1), (4, 0)]), sides)
+    split = edge_sides(np.array([(0, 2), (1, 3), (0, 1), (4, 0)]), sides)
     assert split[Side.LEFT].tolist() == [[0, 2]]
     assert split[Side.RIGHT].tolist() == [[1, 3]]
     assert split[Side.ACROSS].tolist() == [[0, 1], [4, 0]]
 
 
 def test_no_edges_is_no_edges() -> None:
-    split = style.edge_sides(np.zeros((0, 2), dtype=np.int64), (Side.LEFT,))
+    split = edge_sides(np.zeros((0, 2), dtype=np.int64), (Side.LEFT,))
     assert all(edges.shape == (0, 2) for edges in split.values())
 
 

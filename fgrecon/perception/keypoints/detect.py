@@ -38,19 +38,6 @@ from fgrecon.perception.keypoints.network_file import WITHOUT_STREET, check_arra
 from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, runs_on, threads_of_networks
 
-__all__ = [
-    "REACH",
-    "SMALLEST_BOX",
-    "CascadeDetection",
-    "Detection",
-    "KeypointCascade",
-    "as_rgb8",
-    "check_box",
-    "detect_keypoints",
-    "large_enough",
-    "shipped_cascade",
-]
-
 Array = NDArray[np.float64]
 S = TypeVar("S", KNetSettings, RefineSettings)
 

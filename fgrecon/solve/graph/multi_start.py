@@ -27,8 +27,9 @@ from fgrecon.core.robust import StrategyName
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.mode_selection import is_flipped, select_modes
+from fgrecon.solve.graph.newton import Step
 from fgrecon.solve.graph.observation_part import Weights
-from fgrecon.solve.graph.optimise import Optimum, Step, optimise
+from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.proposals.pose_search import PoseEstimate, distinct
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.restarts import lower_poses

@@ -32,8 +32,6 @@ from fgrecon.solve.graph.newton import Descent, Step
 from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.solver import minimise
 
-__all__ = ["Optimum", "Step", "optimise"]
-
 Array = NDArray[np.float64]
 
 REWEIGHTING = SETTINGS.reweighting

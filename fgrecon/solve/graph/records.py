@@ -13,8 +13,8 @@ from fgrecon.core.reconstruction import GraphFactor, Iteration
 from fgrecon.core.track_reconstruction import JointStep
 from fgrecon.solve.graph.graph import EXTRA, Graph
 from fgrecon.solve.graph.multi_start import SolvedStage
+from fgrecon.solve.graph.newton import Step
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
-from fgrecon.solve.graph.optimise import Step
 
 _OVER_TIME = {"V": "velocity", "VV": "velocity change", "XVX": "motion"}
 """What extra factors on these variables are about."""

@@ -9,14 +9,6 @@ from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES
 
-__all__ = [
-    "THRESHOLDS",
-    "instances_within",
-    "keypoint_error",
-    "orientation_precision",
-    "rotation_error",
-]
-
 THRESHOLDS = (5, 15, 30)
 """Thresholds of the average orientation precision, degrees."""
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.observation import Observation
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, edge_sides, keypoint_sides
 from fgrecon.io.coco_keypoints import VehicleLabel, VehicleLabels
 from fgrecon.viz import style
 from fgrecon.viz.geometry import as_image, crop_around
@@ -41,14 +42,14 @@ def label_sheet(
 
 def _draw(axes: Any, labels: VehicleLabels, vehicle: VehicleLabel, image: NDArray[np.uint8]) -> None:
     points, visible = vehicle.keypoints, vehicle.flags == 2
-    sides = style.keypoint_sides(labels.keypoints, np.zeros((len(points), 3)))
-    edges = style.edge_sides(np.array(labels.skeleton, dtype=np.int64).reshape(-1, 2), sides)
+    sides = keypoint_sides(labels.keypoints, np.zeros((len(points), 3)))
+    edges = edge_sides(np.array(labels.skeleton, dtype=np.int64).reshape(-1, 2), sides)
     draw_crop(
         axes, as_image(image), None, crop_around(Observation.of(points, box=vehicle.box), points, aspect=CELL_ASPECT)
     )
     draw_box(axes, vehicle.box)
     draw_edges(axes, points, edges, alpha=0.6)
-    colours = np.array([unit(style.SIDE_COLOURS[side]) for side in sides])
+    colours = np.array([unit(SIDE_COLOURS[side]) for side in sides])
     paper = [unit(style.PAPER)]
     axes.scatter(*points[visible].T, s=20, c=colours[visible], edgecolors=paper, linewidths=0.7, zorder=6)
     axes.scatter(*points[~visible].T, s=14, c=paper, edgecolors=colours[~visible], linewidths=1.0, zorder=5)

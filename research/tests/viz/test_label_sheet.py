@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Side
 from fgrecon.viz.picture import as_rgb
-from fgrecon.viz.style import SIDE_COLOURS, Side
 from fgrecon_research.viz.label_sheet import label_sheet
 from tests.io.test_coco_keypoints import make_labels
 

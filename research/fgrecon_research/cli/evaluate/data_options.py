@@ -7,8 +7,6 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["DATA", "DataOption", "MarkdownOption", "ResultsOption"]
-
 MarkdownOption = Annotated[
     Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown.")
 ]

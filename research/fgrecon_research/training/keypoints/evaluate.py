@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.coverage import Reliability, reliability
+from fgrecon.core.detection import Detection
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.metrics import average_precision
 from fgrecon.io.images import read_image
-from fgrecon.perception.keypoints.detect import REACH, Detection, KeypointCascade
+from fgrecon.perception.keypoints.detect import REACH, KeypointCascade
 from fgrecon_research.training.keypoints.marks import Mark
 from fgrecon_research.training.keypoints.posed_cars import PosedCar, Progress, no_progress
 
