@@ -149,8 +149,7 @@ def kink(behind: Array, softness: float) -> Array:
     """
     away = np.maximum(behind / softness, NEAREST_KINK)
     e = np.exp(-away)
-    curvature: Array = (0.5 * (1.0 - e) / (1.0 + e) + away * e / (1.0 + e) ** 2) / (away * softness)
-    return curvature
+    return (0.5 * (1.0 - e) / (1.0 + e) + away * e / (1.0 + e) ** 2) / (away * softness)
 
 
 def crease_rows(kernel: ProjectionKernel, values: gtsam.Values, softness: float, beyond: Array) -> Array:

@@ -18,8 +18,7 @@ _FLATTEST = 1e-6
 
 def tangent_basis(plane: gtsam.OrientedPlane3) -> NDArray[np.float64]:
     """(3, 2) tangent basis B of the plane's normal, the one that its local coordinates refer to."""
-    basis: NDArray[np.float64] = plane.normal().basis()
-    return basis
+    return plane.normal().basis()
 
 
 def make_plane(normal: ArrayLike, d: float) -> gtsam.OrientedPlane3:

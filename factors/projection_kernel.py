@@ -124,8 +124,7 @@ class ProjectionKernel:
         if self.pose_key is None:
             assert self._pose is not None
             return self._pose
-        pose: Array = values.atPose3(self.pose_key).matrix()
-        return pose
+        return values.atPose3(self.pose_key).matrix()
 
     def matrix(self, values: gtsam.Values) -> Array:
         """(3, 3) intrinsics at the values."""

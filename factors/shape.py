@@ -103,15 +103,13 @@ class LinearShape:
         """(N,) lambda at the values."""
         if self.coefficients_key is None:
             return self._coefficients
-        coefficients: NDArray[np.float64] = values.atVector(self.coefficients_key)
-        return coefficients
+        return values.atVector(self.coefficients_key)
 
     def offsets(self, values: gtsam.Values) -> NDArray[np.float64] | None:
         """(3K,) offsets at the values; None where there are none."""
         if self.offsets_key is None:
             return self._offsets
-        offsets: NDArray[np.float64] = values.atVector(self.offsets_key)
-        return offsets
+        return values.atVector(self.offsets_key)
 
     def chain(self, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
         """(rows, D) derivative of a residual whose derivative with respect to X, flattened to (rows, 3K), is given."""

@@ -151,8 +151,7 @@ class PointRows:
 
     def _centres(self, patch: NDArray[np.intp], coefficients: Array) -> Array:
         """(M, 3) centres of patches at a shape."""
-        moved: Array = self.patches.mean[patch] + np.tensordot(coefficients, self.patches.basis[:, patch], axes=1)
-        return moved
+        return self.patches.mean[patch] + np.tensordot(coefficients, self.patches.basis[:, patch], axes=1)
 
     def _nearest(self, local: Array, sensor: Array, scale: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
         """(M,) the patches next to points in the object frame, of those that face the sensor; whether these do."""

@@ -201,18 +201,15 @@ class System:
 
 
 def _hessian_factor(*parts: Any) -> gtsam.HessianFactor:
-    factor: gtsam.HessianFactor = gtsam.HessianFactor(*parts)
-    return factor
+    return gtsam.HessianFactor(*parts)
 
 
 def _vector(values: gtsam.Values, key: int) -> Array:
-    vector: Array = values.atVector(key)
-    return vector
+    return values.atVector(key)
 
 
 def _pose(values: gtsam.Values, key: int) -> Array:
-    pose: Array = values.atPose3(key).matrix()
-    return pose
+    return values.atPose3(key).matrix()
 
 
 def _plane(values: gtsam.Values, key: int) -> Array:

@@ -141,5 +141,4 @@ def _projected(result: Reconstruction, camera: Camera) -> Array:
         spread = spread + about.keypoint_covariance
     if about.pose_covariance is not None:
         spread = spread + moves @ about.pose_covariance @ np.swapaxes(moves, 1, 2)
-    projected: Array = to_pixels @ spread @ np.swapaxes(to_pixels, 1, 2)
-    return projected
+    return to_pixels @ spread @ np.swapaxes(to_pixels, 1, 2)

@@ -137,8 +137,7 @@ class VideoBox:
 def wanted(frame: DriveFrame) -> NDArray[np.intp]:
     """Indices of the labels that count: those that are annotated by default, and have a 3D box to be scored by."""
     rows, _ = Selection().judge(frame)
-    counting: NDArray[np.intp] = rows[frame.boxed[rows]]
-    return counting
+    return rows[frame.boxed[rows]]
 
 
 def matched(frame: DriveFrame, boxes: Objects, least: float) -> NDArray[np.int64]:

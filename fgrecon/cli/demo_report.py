@@ -62,8 +62,7 @@ def stages(result: Reconstruction, category: Category, truth: Truth) -> list[Sta
 
 def _size(category: Category, keypoints: NDArray[np.float64]) -> NDArray[np.float64]:
     """(3,) length, width and height in metres by keypoints (K, 3)."""
-    size: NDArray[np.float64] = np.tensordot(category.dimension_operator, keypoints, axes=2)
-    return size
+    return np.tensordot(category.dimension_operator, keypoints, axes=2)
 
 
 def table(truth: Truth, estimates: Iterable[Stage]) -> Table:

@@ -64,8 +64,7 @@ class Box3D:
         """
         if self.size is None:
             raise InvalidInputError("box3d.size", None, "Give length, width and height in metres.")
-        corners: Array = box_corners(self.size) @ yaw_rotation(self.rotation_y).T + self.location
-        return corners
+        return box_corners(self.size) @ yaw_rotation(self.rotation_y).T + self.location
 
 
 def box_corners(size: Array) -> Array:

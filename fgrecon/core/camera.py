@@ -197,8 +197,7 @@ class Camera:
             InvalidInputError: They are no such numbers.
         """
         homogeneous = as_vectors("points", points, 3) @ self.matrix.T
-        pixels: NDArray[np.float64] = homogeneous[..., :2] / homogeneous[..., 2:]
-        return pixels
+        return homogeneous[..., :2] / homogeneous[..., 2:]
 
     def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Directions (..., 3) with z = 1 of undistorted pixels (..., 2).
@@ -211,8 +210,7 @@ class Camera:
     def _rays(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         homogeneous = np.ones((*pixels.shape[:-1], 3))
         homogeneous[..., :2] = pixels
-        directions: NDArray[np.float64] = homogeneous @ self._inverse.T
-        return directions
+        return homogeneous @ self._inverse.T
 
     @cached_property
     def _inverse(self) -> NDArray[np.float64]:
@@ -326,8 +324,7 @@ class Ground:
 
     def height_sigma_at(self, depth: NDArray[np.float64]) -> NDArray[np.float64]:
         """Standard deviation in metres of an origin's height over the plane at depths (...,) in metres."""
-        sigma: NDArray[np.float64] = np.hypot(self.height_sigma, self.slope_sigma * depth)
-        return sigma
+        return np.hypot(self.height_sigma, self.slope_sigma * depth)
 
     def height_sigma_at_depth(self, depth: float) -> float:
         """The same at one depth."""

@@ -73,8 +73,7 @@ def view_azimuth(rotation: Array, translation: Array) -> Array:
 def position_covariance(camera_T_object: Array, pose_covariance: Array) -> Array:
     """(3, 3) covariance of the origin in the camera frame, of that (6, 6) of the pose in GTSAM's order and frame."""
     rotation = camera_T_object[:3, :3]
-    covariance: Array = rotation @ pose_covariance[3:, 3:] @ rotation.T
-    return covariance
+    return rotation @ pose_covariance[3:, 3:] @ rotation.T
 
 
 def quaternion_pose(quaternion: Array, place: Array) -> Array:

@@ -20,8 +20,7 @@ FAILURE_DEGREES = 180.0
 
 def wrap_angle(angle: ArrayLike) -> NDArray[np.float64]:
     """Angles in radians brought to [-pi, pi)."""
-    wrapped: NDArray[np.float64] = np.mod(np.asarray(angle, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
-    return wrapped
+    return np.mod(np.asarray(angle, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
 
 
 def orientation_error(estimated: ArrayLike, true: ArrayLike) -> NDArray[np.float64]:

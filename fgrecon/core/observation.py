@@ -129,8 +129,7 @@ class Observation:
     @property
     def measured(self) -> NDArray[np.bool_]:
         """(K,) whether a keypoint has a measurement."""
-        finite: NDArray[np.bool_] = np.isfinite(self.keypoints[:, 0])
-        return finite
+        return np.isfinite(self.keypoints[:, 0])
 
     def of_at_least(self, confidence: float) -> Observation:
         """The observation whose keypoints of less confidence count as not measured."""

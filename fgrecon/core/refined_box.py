@@ -49,8 +49,7 @@ class RefinedBox:
     @property
     def moved(self) -> Array:
         """(3,) metres by which it moved in the camera frame."""
-        moved: Array = self.box.location - self.given.location
-        return moved
+        return self.box.location - self.given.location
 
     @property
     def turn(self) -> float:

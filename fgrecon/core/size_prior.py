@@ -94,8 +94,7 @@ cars of KITTI, ApolloCar3D, nuScenes, Lyft and Waymo as published."""
 def other_fleets(mean: NDArray[np.float64]) -> NDArray[np.float64]:
     """(3, 3) how far the mean size of a fleet is from that of another one of mean size (3,), square metres."""
     correlation = _ALIKE + (1.0 - _ALIKE) * np.eye(3)
-    spread: NDArray[np.float64] = correlation * np.outer(_FLEETS * mean, _FLEETS * mean)
-    return spread
+    return correlation * np.outer(_FLEETS * mean, _FLEETS * mean)
 
 
 CLASSES = ("car", "van", "lorry", "bus", "tram")

@@ -235,8 +235,7 @@ class BagClouds:
         then, now = self.world.pose(drive.frame, scanned), self.world.pose(drive.frame, time)
         if then is None or now is None:
             return here
-        moved: Array = camera_T_frame @ np.linalg.inv(now) @ then @ drive.frame_T_camera @ here
-        return moved
+        return camera_T_frame @ np.linalg.inv(now) @ then @ drive.frame_T_camera @ here
 
 
 def open_bag_drive(source: str | Path, *, choice: Choice | None = None, lidar: LidarTopic | None = None) -> BagDrive:

@@ -85,8 +85,7 @@ class VehicleLabel:
         width, height = self.image.size
         with np.errstate(invalid="ignore"):  # points outside that were read back
             inside = (self.keypoints >= -0.5) & (self.keypoints < [width - 0.5, height - 0.5])
-        flags: NDArray[np.int64] = np.where(inside.all(axis=1), np.where(self.probability >= SEEN, 2, 1), 0)
-        return flags
+        return np.where(inside.all(axis=1), np.where(self.probability >= SEEN, 2, 1), 0)
 
 
 @dataclass(frozen=True, eq=False)

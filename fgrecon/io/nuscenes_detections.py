@@ -218,8 +218,7 @@ def _best_view(views: list[_View] | tuple[()], centre: Array) -> _View | None:
 
 def _unit(quaternion: Any) -> Array:
     values = np.array(quaternion, dtype=np.float64)
-    unit: Array = values / np.linalg.norm(values)
-    return unit
+    return values / np.linalg.norm(values)
 
 
 def _product(first: Array, second: Array) -> Array:

@@ -281,8 +281,7 @@ def _on_opencv(model: bytes) -> Network:
 
     def run(blob: NDArray[Any]) -> Sequence[NDArray[np.float32]]:
         network.setInput(blob, INPUT)
-        maps: Sequence[NDArray[np.float32]] = network.forward(names)
-        return maps
+        return network.forward(names)
 
     return run
 

@@ -177,8 +177,7 @@ class NoiseModel:
                 anywhere,
             ]
         )
-        drawn: NDArray[np.float64] = places[kind, np.arange(size)]
-        return drawn
+        return places[kind, np.arange(size)]
 
 
 HOURGLASS = NoiseModel(

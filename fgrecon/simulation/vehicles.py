@@ -187,8 +187,7 @@ def kitti_like_pose(rng: np.random.Generator, camera: Camera = KITTI_CAMERA) -> 
     level = yaw_pose(yaw, np.array([lateral, _KITTI_HEIGHT, depth]))
     tilt = np.eye(4)
     tilt[:3, :3] = _rotation(0, pitch) @ _rotation(2, roll)
-    pose: NDArray[np.float64] = tilt @ level
-    return pose
+    return tilt @ level
 
 
 def yaw_pose(yaw: float, location: NDArray[np.float64]) -> NDArray[np.float64]:

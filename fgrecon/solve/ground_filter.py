@@ -128,8 +128,7 @@ class KnownGround:
         whole = _own_variance(self.nominal, depth) + float(across @ self.covariance @ across)
         used = self.ground.height_sigma_at_depth(depth) ** 2
         by_height = covariance[:, 3:] @ rotation.T @ self.ground.normal / used  # of the pose, by the ground's height
-        considered: Array = covariance + max(whole - used, 0.0) * np.outer(by_height, by_height)
-        return considered
+        return covariance + max(whole - used, 0.0) * np.outer(by_height, by_height)
 
 
 @dataclass(frozen=True)
@@ -306,8 +305,7 @@ def _ground(nominal: _Nominal, known: _Known) -> KnownGround | None:
 
 
 def _covariance(known: Marginal) -> Array:
-    covariance: Array = np.linalg.inv(known.matrix.T @ known.matrix).astype(np.float64)
-    return covariance
+    return np.linalg.inv(known.matrix.T @ known.matrix).astype(np.float64)
 
 
 def _own_variance(nominal: Ground, depth: float) -> float:

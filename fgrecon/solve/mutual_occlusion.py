@@ -72,5 +72,4 @@ def _projected(points: Array) -> Array | None:
     """(K, 2) where points (K, 3) are seen at a focal length of 1; None where they are not all before the camera."""
     if not (np.isfinite(points).all() and points[:, 2].min() > 0.0):
         return None
-    seen: Array = points[:, :2] / points[:, 2:]
-    return seen
+    return points[:, :2] / points[:, 2:]

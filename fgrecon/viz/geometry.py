@@ -157,8 +157,7 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> N
     at = faces.ravel()
     normals = np.stack([np.bincount(at, np.repeat(axis, 3), minlength=len(vertices)) for axis in face_normals], axis=1)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    unit: NDArray[np.float64] = normals / np.where(lengths > 0, lengths, 1.0)
-    return unit
+    return normals / np.where(lengths > 0, lengths, 1.0)
 
 
 def ground_lines(

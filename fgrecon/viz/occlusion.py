@@ -44,8 +44,7 @@ def shading(
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = normals / np.where(lengths > 0, lengths, 1.0)
     normals *= np.where((normals * outward).sum(axis=1) < 0, -1.0, 1.0)[:, None]  # a mesh need not be oriented
-    lit: NDArray[np.float64] = 0.5 + 0.5 * np.clip(normals @ (light / np.linalg.norm(light)), 0.0, 1.0)
-    return lit
+    return 0.5 + 0.5 * np.clip(normals @ (light / np.linalg.norm(light)), 0.0, 1.0)
 
 
 def render_models(models: Sequence[PosedModel], camera: Camera, size: tuple[float, float]) -> NDArray[np.uint8]:
@@ -125,8 +124,7 @@ def _surface(result: Reconstruction) -> tuple[NDArray[np.float64], NDArray[np.in
 def pieces_of(lines: NDArray[np.float64], count: int = _PIECES) -> NDArray[np.float64]:
     """Lines (L, 2, 3) as (L, count + 1, 3) points along each, ends included."""
     along = np.linspace(0.0, 1.0, count + 1)[:, None]
-    points: NDArray[np.float64] = lines[:, :1] * (1.0 - along) + lines[:, 1:] * along
-    return points
+    return lines[:, :1] * (1.0 - along) + lines[:, 1:] * along
 
 
 def runs_of(

@@ -90,8 +90,7 @@ class CameraImage:
     @property
     def world_T_camera(self) -> Array:
         """(4, 4) pose of the camera when it took the image."""
-        pose: Array = self.world_T_vehicle @ self.vehicle_T_camera
-        return pose
+        return self.world_T_vehicle @ self.vehicle_T_camera
 
     def pixels(self, points: Array) -> tuple[Array, Array]:
         """(N, 2) pixels of points (N, 3) of the world, and their depths (N,); behind the camera they mean nothing."""

@@ -353,8 +353,7 @@ def pose_covariance(item: NamedResult, info: ImageInfo) -> Array:
     centre = np.array([0.0, -result.box_size[2] / 2.0, 0.0])
     jacobian = np.zeros((6, 6))
     jacobian[:3, :3], jacobian[:3, 3:], jacobian[3:, :3] = -rotation @ np.cross(centre, np.eye(3)).T, rotation, rotation
-    covariance: Array = jacobian @ result.uncertainty.pose_covariance @ jacobian.T
-    return covariance
+    return jacobian @ result.uncertainty.pose_covariance @ jacobian.T
 
 
 _ROS_TOPICS: Mapping[str, tuple[str, Callable[[_Moment], dict[str, Any]]]] = {

@@ -78,5 +78,4 @@ def _map_T_world(world_T_camera: Array, ground: Ground | None) -> Array:
     up = world_T_camera[:3, :3] @ upright[2, :3]
     if up[2] > _UPRIGHT:
         return np.eye(4)
-    pose: Array = upright @ np.linalg.inv(world_T_camera)
-    return pose
+    return upright @ np.linalg.inv(world_T_camera)

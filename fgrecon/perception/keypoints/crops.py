@@ -33,13 +33,11 @@ class Crop:
 
     def to_image(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Pixels of the crop (..., 2) as pixels of the image."""
-        outside: NDArray[np.float64] = (np.asarray(pixels) - (self.size - 1) / 2) / self.scale + self.centre
-        return outside
+        return (np.asarray(pixels) - (self.size - 1) / 2) / self.scale + self.centre
 
     def from_image(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Pixels of the image (..., 2) as pixels of the crop."""
-        inside: NDArray[np.float64] = (np.asarray(pixels) - self.centre) * self.scale + (self.size - 1) / 2
-        return inside
+        return (np.asarray(pixels) - self.centre) * self.scale + (self.size - 1) / 2
 
 
 def crop_of(box: ArrayLike, size: int, margin: float = MARGIN) -> Crop:

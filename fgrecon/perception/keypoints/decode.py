@@ -108,14 +108,12 @@ def left_probability(azimuth: Array) -> float:
 def logit(probability: Array) -> Array:
     """The reverse of `sigmoid`, limited to about 14."""
     p = np.clip(probability, _TINY, 1.0 - _TINY)
-    result: Array = np.log(p / (1.0 - p))
-    return result
+    return np.log(p / (1.0 - p))
 
 
 def sigmoid(x: Array) -> Array:
     """1 / (1 + exp(-x)) without overflow."""
-    result: Array = 0.5 * (1.0 + np.tanh(0.5 * x))
-    return result
+    return 0.5 * (1.0 + np.tanh(0.5 * x))
 
 
 def log_softmax(logits: NDArray[np.floating]) -> Array:

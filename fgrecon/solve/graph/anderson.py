@@ -59,8 +59,7 @@ def _accelerated(changes: Array, moves: Array, step: Array) -> Array | None:
         share = np.linalg.solve(squares, changes @ step)
     except np.linalg.LinAlgError:
         return None
-    further: Array = step - share @ (moves + changes)
-    return further
+    return step - share @ (moves + changes)
 
 
 def _remembered(rows: Array | None, row: Array) -> Array:

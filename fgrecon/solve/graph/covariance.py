@@ -89,8 +89,7 @@ def _covariance(information: Array, order: NDArray[np.intp], cut: int, least: fl
     if not root.diagonal().min(initial=1.0) ** 2 > least:
         return None
     half = np.linalg.inv(root[cut:, cut:]) / scale[cut:]
-    covariance: Array = half.T @ half
-    return covariance
+    return half.T @ half
 
 
 def marginals_of(
@@ -254,8 +253,7 @@ def _given_shape(part: ObservationPart, weights: Weights, values: gtsam.Values, 
     information = np.linalg.inv(joint[:6, :6] - by_shape @ joint[6:, :6])
     alone = np.linalg.inv(information + left_out[:6, :6])
     by_shape = alone @ (information @ by_shape - left_out[:6, 6:])
-    covariance: Array = alone + by_shape @ shape @ by_shape.T
-    return covariance
+    return alone + by_shape @ shape @ by_shape.T
 
 
 def joint_covariance(marginals: gtsam.Marginals | Spread, keys: list[int]) -> Array:
@@ -265,7 +263,6 @@ def joint_covariance(marginals: gtsam.Marginals | Spread, keys: list[int]) -> Ar
     if isinstance(marginals, Spread):
         return marginals.joint(keys)
     if len(keys) == 1:
-        single: Array = marginals.marginalCovariance(keys[0])
-        return single
+        return marginals.marginalCovariance(keys[0])
     joint = marginals.jointMarginalCovariance(gtsam.KeyVector(keys))
     return np.concatenate([np.concatenate([joint.at(a, b) for b in keys], axis=1) for a in keys])

@@ -217,8 +217,7 @@ class ObservationPart:
         self.tell(weights, Form.WEIGHTED)
         if self.compiled is None:
             assert self.factor is not None
-            jacobian: Array = self.factor.linearize(values).jacobian()[0]
-            return jacobian
+            return self.factor.linearize(values).jacobian()[0]
         source, shape = self.compiled.source, self.vehicle.shape
         by_all = np.empty((source.rows, source.columns))
         at = packed_pose(self.pose(values).matrix()), shape.coefficients(values), shape.offsets(values)

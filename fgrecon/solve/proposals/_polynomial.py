@@ -129,8 +129,7 @@ def _stationary_directions(S: Array, L: Array) -> tuple[Array, bool]:
 
 def _derivatives(S: Array) -> Array:
     """The derivatives (10, 16) of m' S m: its Hessian, flattened, is m(q)' times them."""
-    derivatives: Array = (_gradient(S) @ _tables().differentiate).reshape(16, 10).T
-    return derivatives
+    return (_gradient(S) @ _tables().differentiate).reshape(16, 10).T
 
 
 def _parts(derivatives: Array, L: Array, q: Array) -> tuple[Array, Array, Array]:
@@ -195,8 +194,7 @@ def _polish(derivatives: Array, L: Array, q: Array) -> tuple[Array, Array]:
 def _newton_step(gradient: Array, curvature: Array, axes: Array) -> Array:
     """Steps (B, 4) to subtract, for gradients (B, 4) and curvatures (B, 4) along axes (B, 4, 4)."""
     along = (gradient[:, None, :] @ axes)[:, 0] / curvature
-    step: Array = (axes @ along[:, :, None])[:, :, 0]
-    return step
+    return (axes @ along[:, :, None])[:, :, 0]
 
 
 def _gradient(S: Array) -> Array:

@@ -115,5 +115,4 @@ def _spread(count: int, dimension: int, again: int) -> Array:
     for _ in range(50):  # to the root of x^(dimension + 1) = x + 1
         ratio = (1.0 + ratio) ** (1.0 / (dimension + 1))
     index = np.arange(1, count + 1) + again * count
-    points: Array = 2.0 * ((0.5 + np.outer(index, ratio ** -np.arange(1.0, dimension + 1))) % 1.0) - 1.0
-    return points
+    return 2.0 * ((0.5 + np.outer(index, ratio ** -np.arange(1.0, dimension + 1))) % 1.0) - 1.0

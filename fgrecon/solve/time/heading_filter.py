@@ -132,8 +132,7 @@ def _either_way(heading: float, spread: float, flipped: float) -> Array:
 def _carried(evidence: Array, seconds: float, camera_turn: float) -> Array:
     """(B,) logarithms of what evidence (B,) says some time later."""
     likelihood = np.exp(evidence - evidence.max())
-    said: Array = np.log(_kernel_product(likelihood / likelihood.sum(), seconds, camera_turn))
-    return said
+    return np.log(_kernel_product(likelihood / likelihood.sum(), seconds, camera_turn))
 
 
 @dataclass(frozen=True)

@@ -252,8 +252,7 @@ def _sensor_velocity(frames: Sequence[Frame], origin: Array) -> Array | None:
         step = frame.step
         if step is not None and step.camera is not None and not step.simultaneous:
             twist = gtsam.Pose3.Logmap(step.camera) / step.seconds
-            velocity: Array = twist[3:] + np.cross(twist[:3], origin)
-            return velocity
+            return twist[3:] + np.cross(twist[:3], origin)
     return None
 
 

@@ -61,8 +61,7 @@ class VehicleModel:
     @property
     def by_size(self) -> Array:
         """(N, 3) smallest change of lambda for a change of length, width and height."""
-        inverse: Array = np.linalg.pinv(self.dimension_basis).astype(np.float64)
-        return inverse
+        return np.linalg.pinv(self.dimension_basis).astype(np.float64)
 
     @property
     def fleet_spread(self) -> Array:

@@ -96,8 +96,7 @@ def cast(
     tolerance: float = TOLERANCE,
 ) -> NDArray[np.bool_]:
     """(K,) whether each keypoint is visible: its `clearance` is at most the tolerance in metres."""
-    visible: NDArray[np.bool_] = clearance(surface_vertices, faces, keypoints, camera_centre) <= tolerance
-    return visible
+    return clearance(surface_vertices, faces, keypoints, camera_centre) <= tolerance
 
 
 def probability(clearance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -67,8 +67,7 @@ def statistic_interval(values: ArrayLike, statistic: Callable[[NDArray[np.float6
 def resampled(values: NDArray[np.float64], seed: int = 0) -> NDArray[np.float64]:
     """(S, M) samples drawn from the values (M,) with replacement."""
     rng = np.random.default_rng(seed)
-    drawn: NDArray[np.float64] = values[rng.integers(len(values), size=(_SAMPLES, len(values)))]
-    return drawn
+    return values[rng.integers(len(values), size=(_SAMPLES, len(values)))]
 
 
 def _draws(groups: int, seed: int) -> NDArray[np.int64]:

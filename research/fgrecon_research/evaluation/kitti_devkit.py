@@ -71,8 +71,7 @@ def _footprints(objects: Objects) -> Array:
     along = np.stack([cosine, -sine], axis=1) * objects.size[:, :1] / 2.0
     across = np.stack([sine, cosine], axis=1) * objects.size[:, 1:2] / 2.0
     corners = np.stack([along + across, along - across, -along - across, -along + across], axis=1)
-    placed: Array = corners + objects.location[:, None, [0, 2]]
-    return placed
+    return corners + objects.location[:, None, [0, 2]]
 
 
 def convex_intersection_area(subject: Array, clip: Array) -> float:
@@ -150,8 +149,7 @@ def regime_members(objects: Objects, regime: Regime) -> Mask:
     """(M,) which objects a regime counts, whatever their type."""
     height = objects.box[:, 3] - objects.box[:, 1]
     inside = (objects.occlusion <= regime.occlusion) & (objects.truncation <= regime.truncation)
-    members: Mask = inside & (height > regime.height)
-    return members
+    return inside & (height > regime.height)
 
 
 def evaluate(

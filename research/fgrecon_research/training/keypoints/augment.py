@@ -303,8 +303,7 @@ def _closer(seen: Pixels, centre: Array, extent: float) -> Array | None:
 
 def _blend(under: Pixels, over: Pixels, alpha: Pixels) -> Pixels:
     share = alpha[..., None].astype(np.uint16)
-    mixed: Pixels = ((over * share + under * (255 - share)) // 255).astype(np.uint8)
-    return mixed
+    return ((over * share + under * (255 - share)) // 255).astype(np.uint8)
 
 
 def _backlit(canvas: Pixels, mask: Pixels, rng: np.random.Generator) -> Pixels:

@@ -266,8 +266,7 @@ def _known(keypoints: Array, visible: Array, unknown: NDArray[np.bool_]) -> Labe
 def _contradicted(category: Category, outlines: Sequence[Outline | None], keypoints: Array) -> NDArray[np.bool_]:
     """(K,) which keypoints of planar faces the silhouettes of their shape contradict; mirrors are too thin for that."""
     checked = np.isin(np.arange(category.size), category.off_faces, invert=True)
-    wrong: NDArray[np.bool_] = contradicted(outlines, keypoints, category.mirror) & checked
-    return wrong
+    return contradicted(outlines, keypoints, category.mirror) & checked
 
 
 def _outlines(silhouettes: Path | None, cars: Sequence[PosedCar]) -> list[Outline | None]:

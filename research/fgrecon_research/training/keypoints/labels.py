@@ -152,5 +152,4 @@ def project_labels(prior: ShapePrior, fit: ShapeFit, cars: Sequence[PosedCar]) -
 def unmodelled(cars: Sequence[PosedCar], category: Category) -> NDArray[np.bool_]:
     """(M, K) which keypoints the car models do not know, by the bodies in the photographs' names."""
     bodies = np.array([any(body in car.name.split() for body in _UNMODELLED) for car in cars], dtype=bool)
-    unknown: NDArray[np.bool_] = bodies[:, None] & np.isin(category.keypoints, _REAR_WINDOW)
-    return unknown
+    return bodies[:, None] & np.isin(category.keypoints, _REAR_WINDOW)

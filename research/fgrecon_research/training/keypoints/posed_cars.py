@@ -84,8 +84,7 @@ class PosedCar:
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels (..., 2) of points (..., 3) in the object frame."""
         camera = points @ self.rotation.T + self.translation
-        pixels: NDArray[np.float64] = (camera @ self.matrix.T)[..., :2] / camera[..., 2:]
-        return pixels
+        return (camera @ self.matrix.T)[..., :2] / camera[..., 2:]
 
 
 def read_posed_cars(folder: Path) -> list[PosedCar]:

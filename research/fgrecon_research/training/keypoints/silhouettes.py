@@ -69,8 +69,7 @@ class Outline:
 
     def to_mask(self, pixels: Array) -> Array:
         """Places (..., 2) in the mask of pixels (..., 2) of the photograph."""
-        places: Array = (pixels + 0.5) * self.scale - 0.5 + _PAD
-        return places
+        return (pixels + 0.5) * self.scale - 0.5 + _PAD
 
     @cached_property
     def _fields(self) -> tuple[NDArray[np.float32], ...]:
