@@ -14,7 +14,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.datasets import open_drive
 from fgrecon.io.kitti_drives import Drive
 
-_EDGES = "Where the boxes' edges lie"
+_EDGES = "Where the boxes' edges are"
 _NUMBERS = "How far the network's errors go together, and its facings,"
 
 

@@ -31,7 +31,7 @@ def app_command(
     """Look at it in a browser: a photograph, a video or keypoints in, cars in 3D out, without code (extra `app`).
 
     The page loads nothing from elsewhere, and keeps nothing but the labels of --label. Listen at another address than
-    this machine's own only in a network that you trust: nobody is asked for a password.
+    this machine's own only in a network that you trust: no password is requested.
     """
     from fgrecon.core.errors import MissingPackageError
 

@@ -110,7 +110,7 @@ def _flowing(text: str) -> str:
 
 
 def grouped(command: Command, in_folder: Sequence[str] = ()) -> Command:
-    """The command with an option in the place of every field of its parameters that are dataclasses.
+    """The command with an option instead of every field of its parameters that are dataclasses.
 
     It refuses to write over what it reads; see `fgrecon.cli.outputs`.
     """

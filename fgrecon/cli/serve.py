@@ -46,8 +46,8 @@ def serve_command(
     """Answer programs over HTTP: POST an image or keypoints to /reconstruct, and get a results file (extra `serve`).
 
     The page / has all parameters, /openapi.json the same for programs, /health whether it works. Models are loaded
-    once, by each worker. Listen at another address than this machine's own only in a network that you trust: nobody is
-    asked for a password.
+    once, by each worker. Listen at another address than this machine's own only in a network that you trust: no
+    password is requested.
     """
     from fgrecon.core.errors import MissingPackageError
 

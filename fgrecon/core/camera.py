@@ -284,8 +284,8 @@ class Ground:
     Attributes:
         normal: (3,) unit vector pointing down, into the ground.
         distance: Height of the camera above the ground, metres.
-        height_sigma: How far a vehicle's origin may lie off the plane near the camera (1 sigma, metres).
-        slope_sigma: Uncertainty of the plane's slope (1 sigma, radians): at depth z the origin may lie
+        height_sigma: How far a vehicle's origin may be off the plane near the camera (1 sigma, metres).
+        slope_sigma: Uncertainty of the plane's slope (1 sigma, radians): at depth z the origin may be
             hypot(height_sigma, slope_sigma z) off the plane. The defaults are those of KITTI's labelled cars about a
             level plane 1.65 m below the camera.
         tilt_sigma: How far its down axis may lean from the normal (1 sigma, radians).

@@ -133,7 +133,7 @@ class Category:
 
     @cached_property
     def mirror(self) -> NDArray[np.intp]:
-        """(K,) index of each keypoint's mirror image; its own index where it lies on the medial plane."""
+        """(K,) index of each keypoint's mirror image; its own index where it is on the medial plane."""
         mirror = np.arange(self.size)
         for left, right in self.symmetric_pairs:
             mirror[left], mirror[right] = right, left

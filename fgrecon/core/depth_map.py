@@ -129,7 +129,7 @@ class DepthMap:
         return self.calibration
 
     def metres(self, numbers: Array, calibration: DepthCalibration) -> Array:
-        """Depths of numbers of the map in metres; NaN of what lies nowhere before the camera."""
+        """Depths of numbers of the map in metres; NaN of what is nowhere before the camera."""
         found = calibration.scale * numbers + calibration.shift
         safe = np.where(found > 0.0, found, np.nan)
         return np.asarray(1.0 / safe if self.inverse else safe)

@@ -30,7 +30,7 @@ class Detection:
             detector does not say.
         visible: (K,) probability of each keypoint to be visible, wherever it is; or None.
         kinds: Probability of each kind of vehicle (`car`, `van`, `lorry`), by name; None where the detector does not
-            say. No evidence of the size unless it is asked for (`reconstruct_image`, `classes`): where cars are many, a
+            say. No evidence of the size unless it is requested (`reconstruct_image`, `classes`): where cars are many, a
             few per cent of a van put each of them farther away.
     """
 

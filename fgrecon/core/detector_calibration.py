@@ -47,7 +47,7 @@ class DetectorCalibration:
         facing_bias: Of the log odds of a facing.
         facing_slope: What the detector's own log odds count.
         provenance: What it was fitted to, and how well it holds; plain values.
-        boxes: Where the edges of the boxes lie that the keypoints were found in; None where that was not fitted.
+        boxes: Where the edges of the boxes are that the keypoints were found in; None where that was not fitted.
     """
 
     common_factor: float = number(_DEFAULT.common_factor, least=1.0, most=1e6)
@@ -71,7 +71,7 @@ class DetectorCalibration:
         return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in told}
 
     def applied(self, options: Options) -> Options:
-        """The options with these settings in the place of their own; the default common factor counts as not fitted."""
+        """The options with these settings instead of their own; the default common factor counts as not fitted."""
         told = options if self.boxes is None else self.boxes.applied(options)
         fitted = self.common_factor != _DEFAULT.common_factor
         return replace(told, keypoints=replace(told.keypoints, **self.numbers, fitted=fitted))

@@ -45,7 +45,7 @@ class Points:
         """Check the numbers.
 
         Raises:
-            InvalidInputError: They are no points, lie farther than any sensor measures, or a standard deviation is
+            InvalidInputError: They are no points, are farther than any sensor measures, or a standard deviation is
                 none.
         """
         points = as_shape("points", self.points, (None, 3), "Give (N, 3) metres in the camera's frame.")
@@ -97,7 +97,7 @@ class Range:
 class RangeRate:
     """How fast one vehicle comes or goes, along the ray from a radar.
 
-    It is about its velocity: a `Tracker` uses it, a single image tells none.
+    It is about its velocity: a `Tracker` uses it, a single image has none.
 
     Attributes:
         metres_per_second: Positive where it goes away.

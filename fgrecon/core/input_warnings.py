@@ -78,9 +78,9 @@ class InputWarning(StrEnum):
 
 
 _SENTENCES = {
-    "units": "All keypoints of {} lie between 0 and 1, as parts of an image do. Give pixels.",
-    "beside": "Most keypoints of {} lie beside the 2D box. Are u and v swapped, or is the box not x1, y1, x2, y2?",
-    "beyond": "Most keypoints of {} lie far outside of the image, or of one with the camera's principal point in its "
+    "units": "All keypoints of {} are between 0 and 1, as parts of an image do. Give pixels.",
+    "beside": "Most keypoints of {} are beside the 2D box. Are u and v swapped, or is the box not x1, y1, x2, y2?",
+    "beyond": "Most keypoints of {} are far outside of the image, or of one with the camera's principal point in its "
     "middle. Are u and v swapped, or is it another image, or K of a smaller one?",
     "principal_point": "The principal point of the camera of {} is outside of the image. Are cx and cy exchanged, or "
     "is K of another image or unit? (Of a part of an image it may be so: Camera.cropped, --crop.)",

@@ -64,10 +64,10 @@ class BoxOptions:
         model: What it encloses.
         sigma_relative: Standard deviation of an edge as a fraction of the longer side.
         sigma_pixels: The same in pixels, added in quadrature.
-        left: By how much the left edge of a `detected` box lies further right than the outline's, as a fraction of its
+        left: By how much the left edge of a `detected` box is further right than the outline's, as a fraction of its
             width. The defaults are those of the package's detector on KITTI's video; what `fgrecon calibrate --detect`
             finds there is as good (docs/history/solver.md).
-        upper: By how much its upper edge lies lower, as a fraction of its height.
+        upper: By how much its upper edge is lower, as a fraction of its height.
         right: The right edge, as the left one.
         lower: The lower edge, as the upper one.
     """

@@ -80,5 +80,5 @@ def _fix(points: Array, likely: str) -> str:
     if likely:
         return f"{fix}; these look like {likely}: give where that is, or turn them."
     if (points[:, 2] <= MIN_DEPTH).all():
-        return f"{fix}; all of these lie behind it: the motion into its frame may be the inverse one."
+        return f"{fix}; all of these are behind it: the motion into its frame may be the inverse one."
     return f"{fix}, and the camera of this image: these are of another place, frame or image."

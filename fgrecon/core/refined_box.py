@@ -67,7 +67,7 @@ class RefinedBox:
         return float("nan") if self.result is None or not self.changed else self.result.facing_probability
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON: both boxes, what changed, and how sure it is; None where nothing is told."""
+        """Plain values for JSON: both boxes, what changed, and how sure it is; None where nothing is known."""
         sigmas = (self.location_covariance, self.size_covariance)
         location, size = (None if one is None else np.sqrt(np.diag(one)).tolist() for one in sigmas)
         facing = self.facing_probability

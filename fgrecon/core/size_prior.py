@@ -30,7 +30,7 @@ class SizePrior:
         mean: (3,) mean length, width and height, metres.
         sigma: (3,) their standard deviations, metres; near zero where the size is known, at least 0.0001 m.
         traffic: (3, 3) second moment about `mean` of all that is taken for one of the fleet, square metres: among cars
-            there are vans. What covariances count, since one picture hardly tells the two apart; None for that of the
+            there are vans. What covariances count, since one picture hardly distinguishes the two; None for that of the
             fleet.
         allowed: (3,) standard deviations that a solve allows, metres; None for `sigma`. Keypoints err together and
             count too much in a solve, so that less than the fleet's own may be best.

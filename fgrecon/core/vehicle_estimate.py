@@ -26,7 +26,7 @@ class VehicleEstimate:
         velocity_covariance: (3, 3) of it, along the same axes; None where that is, or where it cannot be had.
         turn_rate: Rate of `rotation_y`, radians per second, in the same sense; None where the velocity is.
         facing_probability: How probably the vehicle faces where the pose says, within a quarter turn; NaN where
-            nothing tells.
+            it is not known.
         world_T_object: (4, 4) pose in the world, or None where the camera's is not known.
         frames: How many frames of the vehicle it rests on: those of its window, or the past that was smoothed.
     """

@@ -179,7 +179,7 @@ def reconstruct_image(
         together: Whether the vehicles share one ground that is a variable (`fgrecon.reconstruct_scene`); else, and
             where the pose is not to move with the shape (`joint=False`), each is solved alone. Where the focal length
             is not known they are solved together in any case.
-        classes: Which class the vehicle in each box is of, which tells its size; `detected` for what the vehicle
+        classes: Which class the vehicle in each box is of, which says how large it is; `detected` for what the vehicle
             detector says; or `keypoints` for the kinds that the keypoint networks say. None where nobody says.
         evidence: What other sensors say of the vehicles, such as `fgrecon.Points` of a scan in the camera's frame, a
             `fgrecon.DepthMap`, a `fgrecon.StereoPair` whose left image this is, or a `fgrecon.Mask` of each.

@@ -354,7 +354,7 @@ def evidence_of(given: Sequence[Evidence], camera: Camera, *, of_all: bool = Fal
     for number, one in enumerate(evidence):
         if isinstance(one, RangeRate) or (of_all and isinstance(one, Range)):
             fix = "Give it with the vehicle, as `Observation(evidence=...)`"
-            fix += ", to a `Tracker`: an image tells no velocity." if isinstance(one, RangeRate) else "."
+            fix += ", to a `Tracker`: an image has no velocity." if isinstance(one, RangeRate) else "."
             raise InvalidInputError(f"evidence[{number}]", one, fix)
         if isinstance(one, Points) and len(one.points):
             check_points(one.points, camera, f"evidence[{number}]")

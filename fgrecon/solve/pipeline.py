@@ -60,7 +60,7 @@ def reconstruct(
         distortion: OpenCV distortion coefficients, or None.
         prior: Shape prior, or its name, or the path of its file.
         ground: Ground plane; a number is the height in metres of a level camera; None assumes nothing.
-        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; one so tight that it is a single vehicle's tells its
+        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; one so tight that it is a single vehicle's says its
             shape as well (`fgrecon.solve.vehicle.conditioning`). None takes sizes from the shape prior.
         initial: 3D box to start from as well, or a guess of rotation_y in radians to trust within 45 degrees.
         options: Settings.
@@ -71,7 +71,7 @@ def reconstruct(
             `fgrecon.Points` of a scan. With points and a box a vehicle needs no keypoints.
 
     Returns:
-        The reconstruction; its `status` tells how far to trust it.
+        The reconstruction; its `status` says how far to trust it.
 
     Raises:
         InvalidInputError: An argument cannot be used; names it, its value and the fix.

@@ -70,7 +70,7 @@ def reconstruct_track(
         cameras: The camera, or its matrix (3, 3), or (fx, fy, cx, cy); or a camera for each image.
         prior: Shape prior, or its name, or the path of its file.
         ground: Ground plane in every camera's frame; a number is the height in metres of a level camera.
-        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; one so tight that it is a single vehicle's tells its
+        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; one so tight that it is a single vehicle's says its
             shape as well (`fgrecon.solve.vehicle.conditioning`). None takes sizes from the shape prior.
         options: Settings; `joint` must be set.
         extra_factors: The caller's own factors on the poses X(0, t), t the index of the observation, lambda L(0) and,
@@ -170,7 +170,7 @@ def _posed(
 
 def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[Status, str]:
     """The worst of the frames, and how many images there are."""
-    count = f"{len(results)} images share one shape" if len(results) > 1 else "1 image tells the shape"
+    count = f"{len(results)} images share one shape" if len(results) > 1 else "1 image determines the shape"
     left_out = f", {len(refused)} {'was' if len(refused) == 1 else 'were'} refused" if refused else ""
     for status in (Status.FAILED, Status.DEGENERATE, Status.AMBIGUOUS):
         members = [result for result in results if result.status is status]

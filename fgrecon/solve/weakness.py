@@ -54,7 +54,7 @@ def weaknesses(
     if camera.image_size is not None:
         outside = _outside(camera, camera_T_object, box_size)
         if outside > STATUS.outside_image:
-            found.append(f"{100 * outside:.0f} % of its box lie outside of the image")
+            found.append(f"{100 * outside:.0f} % of its box is outside of the image")
     if len(coefficients) and (largest := float(np.abs(coefficients).max())) > STATUS.shape_sigmas:
         found.append(f"its shape is {largest:.1f} standard deviations from the mean")
     if ground is not None:
@@ -72,7 +72,7 @@ def off_ground(below: float, sigma: float) -> list[str]:
     if abs(below) <= STATUS.off_ground_sigmas * sigma:
         return []
     side = "below" if below > 0.0 else "above"
-    return [f"it lies {abs(below):.2f} m {side} the ground, {abs(below) / sigma:.1f} standard deviations"]
+    return [f"it is {abs(below):.2f} m {side} the ground, {abs(below) / sigma:.1f} standard deviations"]
 
 
 def unknown_focal(

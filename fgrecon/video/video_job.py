@@ -146,7 +146,7 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
         check_video(request.video)
     ground, options = request.settings.ground, request.settings.options
     if ground is not None and ground.is_vague:
-        fix = "Give the plane, NX,NY,NZ,D, or leave it out: vehicles are told apart by where they stand."
+        fix = "Give the plane, NX,NY,NZ,D, or leave it out: vehicles are distinguished by where they stand."
         raise InvalidInputError("ground", ground.distance, fix)
     drive = _open_drive(request)
     source, given = _open_source(request, drive)
@@ -242,7 +242,7 @@ def _open_source(request: VideoRequest, drive: Drive | BagDrive | None) -> tuple
     if request.forget_ids and request.tracks is None:
         raise InvalidInputError("forget_ids", value=True, fix="Give `tracks` (--tracks) as well, or leave it out.")
     if drive is not None and request.fps is not None:
-        raise InvalidInputError("fps", request.fps, "Leave it out: the source tells the times of its images.")
+        raise InvalidInputError("fps", request.fps, "Leave it out: the source has the times of its images.")
     source: FrameSource
     if isinstance(drive, BagDrive):
         source = drive.frames
@@ -301,7 +301,7 @@ def _estimated_camera(
     found = estimate_camera(source, look, unknown, **settings.arguments())
     if found is None:
         warn(
-            f"No camera is given, and no car tells: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is "
+            f"No camera is given, and no car shows it: a field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is "
             "assumed, and distances are rough. Give a camera file or intrinsics (--camera, --intrinsics)."
         )
         return unknown

@@ -52,7 +52,7 @@ def test_nothing_is_said_of_keypoints_that_fit(tmp_path, cars):
 
 def test_parts_of_an_image_are_no_pixels(tmp_path, cars):
     told = warnings(tmp_path, cars, lambda points: points / [1242, 375])
-    assert "All keypoints of car-1, car-2, car-3 lie between 0 and 1" in told
+    assert "All keypoints of car-1, car-2, car-3 are between 0 and 1" in told
     normalised = np.diag([1 / 721.5, 1 / 721.5, 1]) @ K
     normalised[:2, 2] = 0.0
     told = warnings(tmp_path, cars[:1], lambda p: np.clip((p - p[0]) / 721.5, 0, 1), normalised.tolist(), None)
@@ -62,7 +62,7 @@ def test_parts_of_an_image_are_no_pixels(tmp_path, cars):
 @pytest.mark.parametrize("size", [None, (1242, 375)])
 def test_swapped_axes(tmp_path, cars, size):
     told = warnings(tmp_path, cars, lambda points: points[:, ::-1], size=size)
-    assert "Most keypoints of car-1, car-2 lie beside the 2D box" in told  # car-3 is where u is v
+    assert "Most keypoints of car-1, car-2 are beside the 2D box" in told  # car-3 is where u is v
 
 
 def test_images_of_a_track(tmp_path, cars):
@@ -151,7 +151,7 @@ def test_a_camera_that_contradicts_images_through_batch(tmp_path, cars):
 
 
 CHANGES = [
-    (lambda points: points / [1242, 375], "All keypoints of v0, v1, v2 and 6 more lie between 0 and 1"),
+    (lambda points: points / [1242, 375], "All keypoints of v0, v1, v2 and 6 more are between 0 and 1"),
     (lambda points: points[::-1], "Hardly a keypoint of v0, v2, v3 and 3 more fits"),
     (lambda points: points, None),
 ]
@@ -190,17 +190,17 @@ def test_of_a_hundred_thousand_three_names_are_kept():
         doubts.add(str(number), InputWarning.BESIDE)
     assert doubts.names == {InputWarning.BESIDE: ["0", "1", "2"]}
     (line,) = doubts.lines()
-    assert "of 0, 1, 2 and 99997 more lie beside" in line
+    assert "of 0, 1, 2 and 99997 more are beside" in line
 
 
 def test_boxes_of_another_kind(tmp_path, cars):
     told = warnings(tmp_path, cars, lambda points: points, box=lambda box: box - [300, 0, 300, 0], size=None)
-    assert "lie beside the 2D box" in told
+    assert "are beside the 2D box" in told
 
 
 def test_another_image(tmp_path, cars):
     told = warnings(tmp_path, cars[:1], lambda points: points + 1500, box=lambda box: box + 1500, size=(1242, 375))
-    assert "Most keypoints of car-1 lie far outside of the image" in told
+    assert "Most keypoints of car-1 are far outside of the image" in told
 
 
 def test_another_order(tmp_path, cars):

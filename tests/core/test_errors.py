@@ -20,7 +20,7 @@ MADE = [
     errors.ChildNotBegunError("out of memory"),
     errors.AssumedCameraWarning("distances are rough"),
     errors.DamagedFileWarning("part-000001 is damaged"),
-    errors.ContradictoryInputWarning("All keypoints lie between 0 and 1."),
+    errors.ContradictoryInputWarning("All keypoints are between 0 and 1."),
     errors.UncoveredFramesWarning("3 of 8 frames have no pose."),
     WorkerDiedError("a worker died four times"),
 ]

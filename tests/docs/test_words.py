@@ -1,11 +1,16 @@
-"""The pages use the project's words (CONTRIBUTING, "Words") and spell them right, by codespell; sentences are short."""
+"""Pages, messages, help and the public API use the project's words (CONTRIBUTING, "Words") and spell them right.
 
+By codespell. Sentences of pages are short.
+"""
+
+import ast
 import re
 import subprocess
 import sys
 
 import pytest
 
+import fgrecon
 from tests.conftest import REPOSITORY
 from tests.docs.pages import name_of
 
@@ -27,19 +32,55 @@ MOST_WORDS = 14.0
 """In a sentence, on average over a page."""
 
 
-def test_words_and_spelling():
+def misspelt(*files, cwd=REPOSITORY):
+    """What codespell finds in files: lines that name file and line, or nothing."""
     pytest.importorskip("codespell_lib", reason="codespell is in the extra dev")
     own = ["--dictionary", "-", "--dictionary", str(DOCS / "words.txt"), "--builtin", "clear,rare"]
     found = subprocess.run(
         [
             *(sys.executable, "-m", "codespell_lib", *own, "--regex", WORD, "--ignore-multiline-regex", CODE),
-            *("--ignore-words-list", "nees", "--quiet-level", "2", *map(str, PAGES)),
+            *("--ignore-words-list", "nees", "--quiet-level", "2", *map(str, files)),
         ],
         check=False,
         capture_output=True,
         text=True,
+        cwd=cwd,
     )
-    assert (found.returncode, found.stdout) == (0, ""), found.stdout + found.stderr
+    assert found.returncode in (0, 65), found.stderr
+    return found.stdout
+
+
+def test_words_and_spelling_of_pages():
+    assert misspelt(*PAGES) == ""
+
+
+def read_by_users(path):
+    """Lines of a module as long as it is, that have what users read: messages, help, docstrings of the public API."""
+    source = path.read_text(encoding="utf-8")
+    tree, shown = ast.parse(source), [""] * (source.count("\n") + 2)
+    public = [node for node in tree.body if getattr(node, "name", "") in fgrecon.__all__ or "cli" in path.parts]
+    docstrings, api = (
+        {n.value for top in tops for n in ast.walk(top) if isinstance(n, ast.Expr)} for tops in ([tree], public)
+    )
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and (node not in docstrings or node in api):
+            for number, line in enumerate(node.value.splitlines()):
+                if " " in line.strip():
+                    shown[min(node.lineno - 1 + number, len(shown) - 1)] += f" {line}"
+    return "\n".join(shown)
+
+
+def test_words_and_spelling_of_messages_and_of_the_public_api(tmp_path):
+    files = [
+        path
+        for root in ("fgrecon", "factors", "research/fgrecon_research")
+        for path in REPOSITORY.glob(f"{root}/**/*.py")
+    ]
+    for path in files:
+        copy = tmp_path / path.relative_to(REPOSITORY)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_text(read_by_users(path), encoding="utf-8")
+    assert misspelt(".", cwd=tmp_path) == ""
 
 
 def sentences(text):

@@ -134,13 +134,13 @@ def test_results_in_the_air_name_the_camera():
 
 def test_python_warns_as_commands_do():
     pixels, _ = car()
-    said = pytest.warns(ContradictoryInputWarning, match="All keypoints of the vehicle lie between 0 and 1")
+    said = pytest.warns(ContradictoryInputWarning, match="All keypoints of the vehicle are between 0 and 1")
     with said, contextlib.suppress(DegenerateProblemError):
         reconstruct(pixels / [1242.0, 375.0], CAMERA)
     box = np.array([*np.nanmin(pixels, axis=0), *np.nanmax(pixels, axis=0)])
     exchanged = Observation.of(pixels[:, ::-1], box=box)
     assert input_warning_of(exchanged, CAMERA) is InputWarning.BESIDE
-    with pytest.warns(ContradictoryInputWarning, match="vehicle 1 lie beside the 2D box") as caught:
+    with pytest.warns(ContradictoryInputWarning, match="vehicle 1 are beside the 2D box") as caught:
         reconstruct_scene([Observation.of(pixels, box=box), exchanged], CAMERA)
     assert caught[0].filename == __file__
     with warnings.catch_warnings(), summed_up():

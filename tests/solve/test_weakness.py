@@ -66,7 +66,7 @@ def test_a_car_mostly_outside_of_the_image():
         assert len(told(camera=replace(camera, image_size=(round(width), 375)))) == expected
     near = POSE.copy()
     near[2, 3] = 1.0  # a corner behind the camera
-    assert "100 % of its box lie outside" in told(camera_T_object=near, ground=None)[0]
+    assert "100 % of its box is outside" in told(camera_T_object=near, ground=None)[0]
     assert told(camera=camera) == ()  # of unknown size
 
 
@@ -83,7 +83,7 @@ def test_off_the_ground(side):
         plane = Ground.level(float(POSE[1, 3]) - side * times * sigma)
         assert len(told(ground=plane)) == expected
     (reason,) = off_ground(side * 0.5, 0.2)
-    assert reason == f"it lies 0.50 m {'below' if side > 0 else 'above'} the ground, 2.5 standard deviations"
+    assert reason == f"it is 0.50 m {'below' if side > 0 else 'above'} the ground, 2.5 standard deviations"
     assert told(ground=None) == ()
 
 

@@ -149,7 +149,7 @@ def _of_samples(
             continue
         for field in needed:
             if getattr(info, field) is None:
-                fix = "Give a file of images, or the data set (`images`, --images), that tells it."
+                fix = "Give a file of images, or the data set (`images`, --images), that has it."
                 raise InvalidInputError(f"images.{image or '*'}.{field}", "nothing", fix)
         for item in items:
             yield item, info

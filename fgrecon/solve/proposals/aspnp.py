@@ -161,7 +161,7 @@ def _scaled(X: Array, w: Array) -> tuple[Array, float]:
     """Centred points (N, 3) divided by their rms distance from the centroid, and that distance."""
     spreads = np.linalg.eigvalsh((w[:, None] * X).T @ X)
     if not spreads[1] > _THICKNESS**2 * spreads[2]:
-        fix = "Give points of positive weight that do not lie on one line."
+        fix = "Give points of positive weight that are not on one line."
         raise DegenerateProblemError("points", f"{len(X)} points on a line", fix)
     scale = float(np.sqrt(spreads.sum()))
     return X / scale, scale

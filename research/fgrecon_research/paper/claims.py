@@ -62,7 +62,7 @@ def irls_claim(scores: Scores, rows: Sequence[str]) -> Claim:
             f"It falls from an ASPnP that is no better than chance: {plain[0]:.0f} degrees, where 90 is chance.",
             "Here it falls from that of ASPnP on all points of the simulated validation set, by:",
             falls("aspnp_irls+size", "Eqs. 4 and 5"),
-            falls("fgrecon+size", "a mixture in the place of Eq. 5, many starts"),
+            falls("fgrecon+size", "a mixture instead of Eq. 5, many starts"),
             falls("pose", "the same with the ground"),
             falls("sqpnp_confident+size", "no re-weighting at all"),
         ),

@@ -242,7 +242,7 @@ def _known_note(cars: MarkedCars) -> str:
         f"marked, {len(cars.inconsistent)} have labels that disagree by more than {CONSISTENT:g} m. The car's own "
         f"model, and its duplicate, are left out of everything that is learnt ({BASIS} vectors). Keypoint: mean "
         "distance of the 14 keypoints about their centroid, in the camera frame, so that an error of rotation counts. "
-        f"Marks lie {100 * cars.noise:.1f} % of the box from the labelled model; they are given "
+        f"Marks are {100 * cars.noise:.1f} % of the box from the labelled model; they are given "
         f"{100 * KNOWN_SHAPE_OPTIONS.keypoints.sigma_relative:g} %, no ground plane, no 2D box and no Laplacian term. "
         "'+size' knows the true length, width and height (SQPnP through the mean shape given that size), '+others' "
         "what the cars of all other models tell: where people put their marks relative to the models' keypoints and, "

@@ -57,7 +57,7 @@ def boxes_command(
     Folders with labels at the beginning are drives, scored together; what follows has boxes. The frames are those that
     every source speaks of. Shares are of all labelled vehicles, found or not, errors of those that are found, with
     intervals of 95 % by bootstrap over tracks, of single images over these. Of fewer than 41 labels there is no average
-    precision at 40 points (-): even of perfect boxes it would be below 100. --verbose tells every vehicle.
+    precision at 40 points (-): even of perfect boxes it would be below 100. --verbose shows every vehicle.
 
     Exit code 1: no labelled vehicle got a box.
     """

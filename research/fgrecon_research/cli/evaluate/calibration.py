@@ -51,7 +51,7 @@ def calibration_command(
     A region of 68 or 95 % should hold so many errors, and be no wider than one that is made to hold: by scaling the
     covariances, or of one size for all, with the drive (of simulated cars a tenth) left out of the fit. Heading flips
     count for the facing alone. Wrong are results more than 15 degrees or 20 % of the distance off. With
-    --detect a labelled box is judged by the detected one that overlaps it most, by more than half. --verbose tells
+    --detect a labelled box is judged by the detected one that overlaps it most, by more than half. --verbose shows
     every box.
 
     Exit code 1: no vehicle could be reconstructed.

@@ -33,7 +33,7 @@ def score_drives(
     forget_ids: bool = False,
     estimate_motion: bool = False,
 ) -> ScoredDrives:
-    """Reconstruct the labelled boxes that count, follow them if that is wanted, and score.
+    """Reconstruct the labelled boxes that count, follow them if that is requested, and score.
 
     Args:
         screen: Where progress is shown.
@@ -49,7 +49,7 @@ def score_drives(
     """
     select(rivals)  # refuse before the work
     if estimate_motion and labelled.ground == NOT_GIVEN:
-        fix = "Give a ground, which tells how far the camera goes, or leave --estimate-motion out."
+        fix = "Give a ground, which says how far the camera goes, or leave --estimate-motion out."
         raise InvalidInputError("estimate_motion", "no ground", fix)
     if track and (others_of := [one for one in sensors if one is not Sensor.LIDAR]):
         fix = "Leave --track out: what follows vehicles takes pictures and a LiDAR's points."

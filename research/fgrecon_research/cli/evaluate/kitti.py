@@ -115,7 +115,7 @@ def kitti_command(
 
     Regimes are cumulative; a car without a detection or a result counts as 180 degrees and stays in. Below stand the 3D
     boxes as `evaluate boxes` scores them, with intervals of 95 % by bootstrap over images; average precision is over
-    the boxes of labelled cars alone. --verbose tells every car's errors.
+    the boxes of labelled cars alone. --verbose shows every car's errors.
 
     Exit code 1: no car could be reconstructed.
     """

@@ -55,7 +55,7 @@ def refine_evaluation_command(
     """Score 3D boxes before and after they are refined: position, yaw, heading flips, size, and how many got worse.
 
     Without --boxes each labelled box is disturbed by the errors that the options say, with a fixed seed. Cars and vans
-    count as in `evaluate video`. --verbose tells every vehicle.
+    count as in `evaluate video`. --verbose shows every vehicle.
 
     Exit code 1: no box was refined.
     """

@@ -165,7 +165,7 @@ def video_command(
     and with the one that all images between the first and the last labelled one tell; beside that the single images
     stand flipped where the network's directions so far, or of the whole track, add up to that. A box without a
     result counts as 180 degrees and stays in. Intervals are of 95 %, by bootstrap over tracks. For a picture the worst
-    images are solved once more after they were scored. --verbose tells every box.
+    images are solved once more after they were scored. --verbose shows every box.
 
     With --detect a labelled box is scored by the detected one that overlaps it most, by more than half; labelled boxes
     without one are counted, and in none of the shares. All frames of a drive are looked at, and followed without ids.

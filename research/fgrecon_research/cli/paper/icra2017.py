@@ -50,7 +50,7 @@ def icra2017_command(
 ) -> None:
     """Reconstruct both cars with the release's 36-point prior and compare with KITTI's labels.
 
-    --verbose tells energies and times.
+    --verbose shows energies and times.
     """
     check_outputs(json_out)
     delivery.check()

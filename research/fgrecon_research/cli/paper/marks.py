@@ -55,7 +55,7 @@ def models_command(
 ) -> None:
     """Say how often the right one of 79 car models is found for the cars of ApolloCar3D, solved from people's marks.
 
-    The prior of a car has not learnt from its model. --verbose tells the place of every car's.
+    The prior of a car has not learnt from its model. --verbose shows the place of every car's.
     """
     check_outputs(json_out, markdown)
     screen = terminal.screen(json_out)
@@ -89,7 +89,7 @@ def _rows(found: ClosestModelRanks) -> list[tuple[str, ...]]:
 
 
 def _note(found: ClosestModelRanks) -> str:
-    """What the margin to the second model tells."""
+    """What the margin to the second model shows."""
     row = CLOSEST_ROWS[-1]
     wide = found.margins >= np.nanquantile(found.margins, 2 / 3)
     limit = 100 * float(np.nanquantile(found.margins, 2 / 3))

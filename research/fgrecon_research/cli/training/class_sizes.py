@@ -22,7 +22,7 @@ def sizes_command(
 ) -> None:
     """Measure sizes of cars, vans, lorries and trams by KITTI's labels, and count what the vehicle detector calls them.
 
-    The drives are those with labels in which each vehicle is counted once. --verbose tells how often each
+    The drives are those with labels in which each vehicle is counted once. --verbose shows how often each
     class is among all labels.
     """
     screen = terminal.screen()

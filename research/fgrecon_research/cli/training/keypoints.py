@@ -45,7 +45,7 @@ def evaluate_command(
 ) -> None:
     """Measure a network against keypoints marked by hand, and end to end on photographs of known direction.
 
-    The data folder has hand_labels, posed_cars and kitti_object. --verbose tells where the network comes from.
+    The data folder has hand_labels, posed_cars and kitti_object. --verbose shows where the network comes from.
     """
     check_outputs(json_out)
     screen = terminal.screen(json_out)
@@ -191,9 +191,7 @@ def train_command(
     ] = None,
     trained: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="PHASE=FILE", help="A network in the place of a phase and of those before; repeat for more."
-        ),
+        typer.Option(metavar="PHASE=FILE", help="A network instead of a phase and of those before; repeat for more."),
     ] = None,
 ) -> None:
     """Train the networks: labels from boxes, KNet, labels corrected by a factor graph, KNet on, refinement networks.

@@ -102,7 +102,7 @@ def label_command(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="In the place of label_02.txt: 2D boxes and ids of a tracker (KITTI tracking, such as tracks.txt of "
+            help="Instead of label_02.txt: 2D boxes and ids of a tracker (KITTI tracking, such as tracks.txt of "
             "`fgrecon run`).",
         ),
     ] = None,

@@ -1,4 +1,4 @@
-"""What `fgrecon keypoints label` tells and draws. Imported when it runs."""
+"""What `fgrecon keypoints label` says and draws. Imported when it runs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _LEARNT = "Car", "Van", "Truck"  # of the last the direction and the kind
 _DRAWN = 24  # vehicles of a picture, at most
 _TERMS = (
     "The images are under the terms of their owners. The keypoints come from a network that has learnt from images of "
-    "others, whose terms its model card tells; for those of fgrecon see fgrecon/data/LICENSE-DATA.md."
+    "others, whose terms its model card has; for those of fgrecon see fgrecon/data/LICENSE-DATA.md."
 )
 
 

@@ -47,7 +47,7 @@ def build_command(
 ) -> None:
     """Make a shipped prior of keypoints and a surface from the 79 car models of ApolloCar3D.
 
-    Without further options it makes the shipped file again, bit for bit. --verbose tells all that is known about it.
+    Without further options it makes the shipped file again, bit for bit. --verbose shows all that is known about it.
     """
     screen = terminal.screen()
     out = Path(f"{category}.npz") if out is None else out

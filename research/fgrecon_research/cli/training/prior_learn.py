@@ -107,7 +107,7 @@ def learn_command(
 ) -> None:
     """Learn a shape prior from images with annotated keypoints, each of another instance (NRSfM, Section III-A).
 
-    --verbose tells the likelihood of each start, and what is left unexplained of each keypoint.
+    --verbose shows the likelihood of each start, and what is left unexplained of each keypoint.
     """
     check_output(out)
     if out.suffix != ".npz":  # refused now rather than after minutes of learning

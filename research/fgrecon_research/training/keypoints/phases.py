@@ -226,7 +226,7 @@ def _check(settings: TrainingSettings, phases: Sequence[Phase], data: Path) -> N
         load_tensors(first.trained)
         seen = settings.phases[: settings.phases.index(first) + 1]
         if settings.without and any(phase.on_street for phase in seen):
-            fix = "Leave no drive out, or train that phase: nothing tells which drives the file has learnt from."
+            fix = "Leave no drive out, or train that phase: nothing says which drives the file has learnt from."
             raise InvalidInputError(f"phase {first.name}: trained", str(first.trained), fix)
     for phase in trained:
         if phase.street is not None:
