@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -78,6 +78,11 @@ class SizePrior:
     def assumed_sigma(self) -> NDArray[np.float64]:
         """(3,) standard deviations that a solve assumes, metres."""
         return self.sigma if self.allowed is None else self.allowed
+
+    @property
+    def as_in_traffic(self) -> SizePrior:
+        """The same with standard deviations in a solve that are those of `spread`."""
+        return replace(self, allowed=np.sqrt(np.diag(self.spread)))
 
     @property
     def spread(self) -> NDArray[np.float64]:

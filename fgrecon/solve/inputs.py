@@ -30,7 +30,7 @@ from fgrecon.core.stereo_pair import StereoPair
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior, shipped_class_sizes, shipped_cuboid
 from fgrecon.io.image_size import scale_between
-from fgrecon.solve.vehicle.model import VehicleModel, prepare, sized
+from fgrecon.solve.vehicle.model import VehicleModel, in_traffic, prepare, sized
 
 if TYPE_CHECKING:
     import gtsam
@@ -86,13 +86,16 @@ class SolveSetup:
     def model_of(self, observations: Sequence[Observation]) -> VehicleModel:
         """The prior prepared for a vehicle: for the class that its observations say it is of, else for all.
 
-        What several of them say is averaged: a detector takes a vehicle for the same in all its images.
+        What several of them say is averaged: a detector takes a vehicle for the same in all its images. Where points
+        say how far it is, its size is as free as the traffic's.
 
         Raises:
             InvalidInputError: A class is none of its scheme.
         """
         said = self.classes_of(observations)
-        return self.model if said is None else self.model_for(said)
+        model = self.model if said is None else self.model_for(said)
+        measured = any(isinstance(one, Points) for seen in observations for one in seen.evidence)
+        return in_traffic(model) if measured else model
 
     @staticmethod
     def classes_of(observations: Sequence[Observation]) -> dict[str, float] | None:

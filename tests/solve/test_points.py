@@ -16,12 +16,14 @@ from fgrecon import (
     Observation,
     Options,
     Points,
+    SizePrior,
     Tracker,
     reconstruct,
     reconstruct_scene,
     reconstruct_track,
 )
 from fgrecon.core.geometry import yaw_rotation
+from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.graph import GraphObservation
@@ -36,10 +38,12 @@ PRIOR = load_prior("car14")
 SHAPE = np.array([1.5, -1.0, 0.3, 0.2, -0.4])
 
 
-def scanned(yaw: float, place: np.ndarray, seed: int = 0, count: int = 120) -> tuple[Observation, np.ndarray]:
+def scanned(
+    yaw: float, place: np.ndarray, seed: int = 0, count: int = 120, prior: ShapePrior = PRIOR
+) -> tuple[Observation, np.ndarray]:
     """A car larger than the mean: what a network says of it, and a scan of it, of the road and of a wall."""
     rng = np.random.default_rng(seed)
-    rotation, surface = yaw_rotation(yaw), PRIOR.surface
+    rotation, surface = yaw_rotation(yaw), prior.surface
     assert surface is not None
     vertices, centre = surface.vertices(SHAPE), -rotation.T @ place
     corners = vertices[surface.faces]
@@ -50,7 +54,7 @@ def scanned(yaw: float, place: np.ndarray, seed: int = 0, count: int = 120) -> t
     road = rng.uniform([-4.0, 0.0, -4.0], [4.0, 0.0, 4.0], (60, 3))
     wall = rng.uniform([-9.0, -3.0, 0.0], [9.0, 0.0, 0.5], (40, 3)) + np.array([0.0, 0.0, 6.0])
     points = np.concatenate([local @ rotation.T, road, wall]) + place
-    keypoints = PRIOR.keypoints(SHAPE)
+    keypoints = prior.keypoints(SHAPE)
     seen = probability(clearance(vertices, surface.faces, keypoints, centre))
     pixels = CAMERA.project(keypoints @ rotation.T + place) + rng.normal(0.0, 1.5, (14, 2))
     outline = CAMERA.project(vertices @ rotation.T + place)
@@ -83,6 +87,18 @@ def test_points_tell_the_depth(yaw: float) -> None:
     assert covariance is not None
     assert before is not None
     assert np.trace(covariance[3:, 3:]) < 0.5 * np.trace(before[3:, 3:])
+
+
+@pytest.mark.parametrize("yaw", [-1.5, 0.4])
+def test_points_tell_that_a_vehicle_is_as_high_as_a_van(yaw: float) -> None:
+    size = np.array([5.0, 1.9, 2.2])
+    van = PRIOR.for_fleet(SizePrior("van", size, 0.05 * size))
+    observation, points = scanned(yaw, PLACE, count=200, prior=van)
+    found = reconstruct(
+        observation, CAMERA, ground=1.65, size_prior="kitti", options=OPTIONS, evidence=[Points(points)]
+    )
+    assert abs(found.box_size[2] - van.box_size(SHAPE)[2]) < 0.3  # the fleet's mean is as high as a car
+    assert np.linalg.norm(found.location - PLACE) < 0.45
 
 
 def test_a_step_of_the_result_does_not_lower_the_energy() -> None:

@@ -77,8 +77,8 @@ class PointSettings:
     """Of the surface's own error, added in quadrature: what no shape of the prior can meet."""
     independent_points: float = 100.0
     """Of n points n / (1 + n / this) count: the surface's errors are alike in neighbouring places."""
-    common_factor: float = 8.0
-    """By how much less points say of covariances."""
+    common_factor: float = 14.0
+    """By how much less points say of covariances: with it regions of 68 and 95 % hold 65 and 92 % of the cars."""
     independent_depths: float = 20.0
     """The same as `independent_points` of pixels of a depth map, whose errors are alike in neighbouring pixels."""
     pixel_sigma: float = 1.0
@@ -107,7 +107,7 @@ class PointSettings:
     """Of points at first."""
     searched_points: int = 64
     """Of a vehicle in the search; the graph has all. Not tuned."""
-    rough_starts: int = 6
+    rough_starts: int = 16
     """Starts that are refined roughly."""
     rough_iterations: int = 4
     """Of them."""
@@ -115,7 +115,7 @@ class PointSettings:
     """After those."""
     kept_from_iteration: int = 1
     """Iteration from which only the best go on."""
-    kept_hypotheses: int = 3
+    kept_hypotheses: int = 5
     """How many of them."""
 
 

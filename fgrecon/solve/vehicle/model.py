@@ -111,6 +111,16 @@ def sized(model: VehicleModel, size: SizePrior) -> VehicleModel:
     return _model(prior, left, model.visibility, fleet_given=True)
 
 
+@lru_cache(maxsize=64)
+def in_traffic(model: VehicleModel) -> VehicleModel:
+    """The model of a vehicle whose size a solve allows all that the traffic's is; remembered.
+
+    Less is best where size and distance are told by one image, and a van is a car that is nearer. Where its distance is
+    measured it is not, and what is as high as a van may be one.
+    """
+    return model if model.size is None else replace(model, size=model.size.as_in_traffic)
+
+
 def _brought_to(prior: ShapePrior, size: SizePrior | None) -> tuple[ShapePrior, SizePrior | None]:
     """The prior of vehicles of a size, and what of the size it does not hold."""
     if size is None:
