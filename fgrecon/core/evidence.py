@@ -63,8 +63,12 @@ class Points:
 
     def thinned(self, every: int) -> Points:
         """Each so-many-th of the points."""
-        sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[::every]
-        return Points(self.points[::every], sigma, self.origin)
+        return self.chosen(slice(None, None, every))
+
+    def chosen(self, which: slice | NDArray[np.bool_]) -> Points:
+        """Some of the points."""
+        sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[which]
+        return Points(self.points[which], sigma, self.origin)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ directions, and the box.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -21,6 +22,7 @@ from fgrecon.core.half_turn import flipped_alternative
 from fgrecon.core.input_warnings import InputWarning
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.reconstruction import Alternative, rotation_y
+from fgrecon.solve.claimed_points import without_claimed
 from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
@@ -130,16 +132,37 @@ def solve_independently(
             if box is not None:  # which says itself which way it faces
                 solved[number] = _with_box(box.problem(observation, camera, setup), box)
                 continue
-            model = setup.model_of([observation])
-            problem = Problem.of(coupled[number], camera, model, setup.ground, setup.options)
-            problem, start = estimate_pose(problem, observation)
+            solved[number] = _alone(coupled[number], observation, camera, setup, steady)
         except FgreconError as error:
             refused[number] = error
-            continue
-        solved[number] = IndependentVehicle(
-            problem, start, minimise_from_proposals([GraphObservation(problem)], [start], steady=steady)
-        )
+    for image in dict.fromkeys(image_of or [0]):
+        ends = {n: one.adjusted for n, one in solved.items() if image_of is None or image_of[n] == image}
+        for number, observation in without_claimed(seen, ends).items():
+            with suppress(FgreconError):  # it stays where it was
+                anew = replace(coupled[number], evidence=observation.evidence)
+                solved[number] = _alone(anew, observation, camera, setup, steady)
     return IndependentSolve(camera, solved, refused, warnings)
+
+
+def _alone(
+    coupled: Observation, detected: Observation, camera: Camera, setup: SolveSetup, steady: float | None
+) -> IndependentVehicle:
+    """Solve a vehicle without a box.
+
+    Args:
+        coupled: Its observation, whose directions know the rest.
+        detected: It as its detector gave it.
+        camera: The camera.
+        setup: What holds for all of them.
+        steady: Where the solve ends, as `optimise` has it.
+
+    Raises:
+        DegenerateProblemError: No pose is found.
+    """
+    problem = Problem.of(coupled, camera, setup.model_of([detected]), setup.ground, setup.options)
+    problem, start = estimate_pose(problem, detected)
+    adjusted = minimise_from_proposals([GraphObservation(problem)], [start], steady=steady)
+    return IndependentVehicle(problem, start, adjusted)
 
 
 def _with_box(problem: Problem, box: KnownBox) -> IndependentVehicle:

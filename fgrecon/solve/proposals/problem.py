@@ -15,7 +15,7 @@ from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options
 from fgrecon.core.robust import Evidence
-from fgrecon.solve.proposals.point_term import PointTerm, point_terms
+from fgrecon.solve.proposals.point_term import POINTS_NAME, PointTerm, point_terms
 from fgrecon.solve.proposals.search import PoseEnergy
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import BoxTerm, DirectionTerm, GroundTerm, KeypointTerm, SizeTerm
@@ -139,7 +139,9 @@ def _energy(
         raise DegenerateProblemError("keypoints", f"extent {extent:.3g} px", "Give keypoints that are not all one.")
     covariance = keypoint_covariances(observation, options.keypoints)
     evidence, off = _evidence(observation, covariance), options.disabled_terms
-    box = None if "box" in off else box_term(observation, camera, model, options.box)
+    measured = any(one.name == POINTS_NAME for one in points)
+    share = SETTINGS.points.box_sigma_share if measured and options.box.model is BoxModel.CUBOID else 1.0
+    box = None if "box" in off else box_term(observation, camera, model, options.box, share)
     if observation.covariance is None:  # isotropic and all alike, which needs no linear algebra
         whitener = np.full((len(covariance), 3), 1.0 / np.sqrt(covariance[0, 0, 0]))
         whitener[:, 1] = 0.0
@@ -167,13 +169,15 @@ def _energy(
     )
 
 
-def box_term(observation: Observation, camera: Camera, model: VehicleModel, options: BoxOptions) -> BoxTerm | None:
-    """The 2D box as evidence; None where there is no box or it is not to count."""
+def box_term(
+    observation: Observation, camera: Camera, model: VehicleModel, options: BoxOptions, sigma_share: float
+) -> BoxTerm | None:
+    """The 2D box as evidence, with a share of its standard deviation; None where there is no box or it counts not."""
     if observation.box is None or options.model is BoxModel.OFF:
         return None
     points = model.box_points(options.model)
     extent = observation.extent
-    sigma = float(np.hypot(options.sigma_relative * extent, options.sigma_pixels))
+    sigma = sigma_share * float(np.hypot(options.sigma_relative * extent, options.sigma_pixels))
     wrong = SETTINGS.edge_wrong_probability
     outlier = wrong / (1.0 - wrong) * np.sqrt(2.0 * np.pi) * sigma / extent
     used = np.ones(4, dtype=bool)

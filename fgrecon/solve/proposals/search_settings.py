@@ -77,8 +77,11 @@ class PointSettings:
     """Of the surface's own error, added in quadrature: what no shape of the prior can meet."""
     independent_points: float = 100.0
     """Of n points n / (1 + n / this) count: the surface's errors are alike in neighbouring places."""
-    common_factor: float = 14.0
-    """By how much less points say of covariances: with it regions of 68 and 95 % hold 65 and 92 % of the cars."""
+    common_factor: float = 20.0
+    """By how much less points say of covariances: with it regions of 68 and 95 % hold about as many cars."""
+    box_sigma_share: float = 0.5
+    """Of the standard deviation of a 2D box that encloses the projected 3D box, where there are points: it is for the
+    errors of a shape at a distance that only the picture tells, and such boxes are half a pixel off."""
     independent_depths: float = 20.0
     """The same as `independent_points` of pixels of a depth map, whose errors are alike in neighbouring pixels."""
     pixel_sigma: float = 1.0
@@ -117,6 +120,12 @@ class PointSettings:
     """Iteration from which only the best go on."""
     kept_hypotheses: int = 5
     """How many of them."""
+    used_weight: float = 0.5
+    """From which on a point is a vehicle's."""
+    claimed_share: float = 0.5
+    """Of the points of one of two vehicles: where so many are in the other's 3D box, both are in one place."""
+    claimed_margin_m: float = 0.1
+    """Around that box."""
 
 
 @dataclass(frozen=True)
