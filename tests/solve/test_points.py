@@ -133,6 +133,20 @@ def test_a_vehicle_without_keypoints() -> None:
     assert turn < np.deg2rad(6.0)
 
 
+@pytest.mark.parametrize("aside", [0.0, 0.4])
+def test_a_hidden_vehicle_leaves_the_points_of_the_one_before_it(aside: float) -> None:
+    """By itself it is five metres too near, on the other's points."""
+    places = PLACE, PLACE + [aside, 0.0, 4.5]
+    (front, points), (back, few) = (scanned(-1.5, place, seed) for seed, place in enumerate(places, start=1))
+    options = Options(keep_history=False, box="cuboid")
+    scan = Points(np.concatenate([points, few[:5]]))
+    scene = reconstruct_scene(
+        [front, back], CAMERA, ground=1.65, size_prior="kitti", options=options, evidence=[scan]
+    )
+    for vehicle, place in zip(scene.vehicles, places, strict=True):
+        assert np.linalg.norm(vehicle.location - place) < 0.5
+
+
 def test_vehicles_of_an_image_with_one_scan_and_a_factor_of_ones_own() -> None:
     one, points = scanned(-1.5, PLACE)
     other_place = np.array([-3.0, 1.65, 14.0])
