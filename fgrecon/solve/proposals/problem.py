@@ -170,7 +170,7 @@ def _energy(
 
 
 def box_term(
-    observation: Observation, camera: Camera, model: VehicleModel, options: BoxOptions, sigma_share: float
+    observation: Observation, camera: Camera, model: VehicleModel, options: BoxOptions, sigma_share: float = 1.0
 ) -> BoxTerm | None:
     """The 2D box as evidence, with a share of its standard deviation; None where there is no box or it counts not."""
     if observation.box is None or options.model is BoxModel.OFF:
