@@ -136,7 +136,7 @@ def test_a_vehicle_without_keypoints() -> None:
 @pytest.mark.parametrize("aside", [0.0, 0.4])
 def test_a_hidden_vehicle_leaves_the_points_of_the_one_before_it(aside: float) -> None:
     """By itself it is five metres too near, on the other's points."""
-    places = PLACE, PLACE + [aside, 0.0, 4.5]
+    places = PLACE, PLACE + np.array([aside, 0.0, 4.5])
     (front, points), (back, few) = (scanned(-1.5, place, seed) for seed, place in enumerate(places, start=1))
     options = Options(keep_history=False, box="cuboid")
     scan = Points(np.concatenate([points, few[:5]]))
