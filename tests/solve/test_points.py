@@ -140,9 +140,7 @@ def test_a_hidden_vehicle_leaves_the_points_of_the_one_before_it(aside: float) -
     (front, points), (back, few) = (scanned(-1.5, place, seed) for seed, place in enumerate(places, start=1))
     options = Options(keep_history=False, box="cuboid")
     scan = Points(np.concatenate([points, few[:5]]))
-    scene = reconstruct_scene(
-        [front, back], CAMERA, ground=1.65, size_prior="kitti", options=options, evidence=[scan]
-    )
+    scene = reconstruct_scene([front, back], CAMERA, ground=1.65, size_prior="kitti", options=options, evidence=[scan])
     for vehicle, place in zip(scene.vehicles, places, strict=True):
         assert np.linalg.norm(vehicle.location - place) < 0.5
 
