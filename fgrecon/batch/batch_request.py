@@ -108,6 +108,7 @@ def _reconstructor(request: BatchRequest, camera: Camera | None) -> Reconstructo
         scale_to_image=request.camera.scale_to_image,
         sensors=request.sensors,
         boxes=request.boxes,
+        classes=settings.classes,
     )
 
 

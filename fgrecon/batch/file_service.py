@@ -29,6 +29,7 @@ from fgrecon.batch.vehicle_tasks import (
     input_warnings,
     read_tasks,
     unwatched,
+    with_classes,
 )
 from fgrecon.core.camera import Ground
 from fgrecon.core.choices import BoxModel
@@ -100,10 +101,10 @@ def read_file(path: Path, request: FileRequest, photograph: Path | None = None) 
 
 
 def _photograph(path: Path, source: CameraSource, request: FileRequest) -> ReadFile:
-    category = request.settings.prior.category
+    category, classes = request.settings.prior.category, request.settings.classes
     assert source.image is not None
-    found = request.boxes.of_image(path, source.image, scale_to_image=source.scale_to_image)
-    how = KeypointRequest(category, request.weights, request.box_model)
+    found = request.boxes.of_image(path, source.image, scale_to_image=source.scale_to_image, classes=classes)
+    how = KeypointRequest(category, request.weights, request.box_model, classes=classes)
     tasks = image_tasks(path, source, found.cars, how, request.watch, request.sensors)
     notes = tuple(f"{path.name}: {line}" for line in found.notes(category.name))
     return ReadFile(path, path, tasks, source, found.reasons, notes)
@@ -112,7 +113,8 @@ def _photograph(path: Path, source: CameraSource, request: FileRequest) -> ReadF
 def _keypoints(path: Path, source: CameraSource, request: FileRequest, photograph: Path | None) -> ReadFile:
     image = None if photograph is None else photograph.name
     read = read_tasks(path, request.settings.prior.category, source, request.names, image)
-    tasks = _with_evidence(read.tasks, request.sensors, photograph or path)
+    tasks = with_classes(read.tasks, request.settings.classes)
+    tasks = _with_evidence(tasks, request.sensors, photograph or path)
     left_out = {str(error): 1 for error in read.left_out}
     return ReadFile(path, photograph, tasks, source, left_out, (), tuple(read.warnings), read.ignored)
 

@@ -17,9 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.batch.rows import failed_row, given_of, id_in_image, origin_of, solved_row, table_of
 from fgrecon.batch.schema import EMPTY, LEFT_OUT
 from fgrecon.batch.tasks import nested, record_of
-from fgrecon.batch.vehicle_tasks import KeypointRequest, tasks_in_boxes
+from fgrecon.batch.vehicle_tasks import KeypointRequest, check_of_file, tasks_in_boxes
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
+from fgrecon.core.choices import ClassSource
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.input_warnings import (
     InputWarning,
@@ -39,7 +40,7 @@ from fgrecon.io.keypoint_file import Instance
 from fgrecon.io.keypoints.any_keypoints import parse_any_keypoints
 from fgrecon.io.keypoints.names import Names, NamesLike, parse_names
 from fgrecon.io.run_settings import RunSettings
-from fgrecon.perception.boxes import GivenBoxes, boxes_by
+from fgrecon.perception.boxes import GivenBoxes, boxes_by, with_detected_classes
 from fgrecon.perception.keypoints.detect import KeypointCascade, check_box, large_enough, shipped_cascade
 from fgrecon.perception.keypoints.sessions import at_most
 from fgrecon.perception.sensor_source import SensorSource
@@ -81,6 +82,7 @@ class Reconstructor:
         scale_to_image: bool = False,
         sensors: SensorSource | None = None,
         boxes: GivenBoxes | str | Path | None = None,
+        classes: ClassSource | None = None,
     ) -> None:
         """Take the settings; nothing is loaded.
 
@@ -98,6 +100,7 @@ class Reconstructor:
             sensors: Other sensors' files, named as the images; or None.
             boxes: Boxes of images: a file or folder as `--boxes` takes it, or also with the least score; None lets the
                 detector look.
+            classes: Who says of which class vehicles are, which tells their size; None where all are cars.
             threads: Threads that OpenCV and what runs the networks use from the first image on; None leaves them as
                 they are.
 
@@ -111,7 +114,7 @@ class Reconstructor:
         self._weights, self._threads, self._scale_to_image = weights, threads, scale_to_image
         self._sensors = sensors
         self._boxes = boxes if boxes is None or isinstance(boxes, GivenBoxes) else GivenBoxes(file=Path(boxes))
-        self._pictures = Pictures()
+        self._classes, self._pictures = classes, Pictures()
 
     def __getstate__(self) -> dict[str, Any]:
         """The settings alone: what is loaded is loaded again elsewhere."""
@@ -190,6 +193,9 @@ class Reconstructor:
 
         doubt: InputWarning | None = None
         try:
+            if self._classes is not None:
+                check_of_file(self._classes)
+                instance = instance.classed
             if camera is None:
                 raise InvalidInputError("intrinsics", "nothing", "Give K with the row, or a camera for all of them.")
             instance = instance.fitted(camera.image_size, scale=self._scale_to_image)
@@ -226,7 +232,7 @@ class Reconstructor:
             return
         camera, model = self._camera_of(task, image, exif_camera), self._options.box.model
         given_model = None if model is BoxModel.SURFACE else model  # an outline is one as its source draws it
-        how = KeypointRequest(self.prior.category, None, given_model, self._networks[1])
+        how = KeypointRequest(self.prior.category, None, given_model, self._networks[1], self._classes)
         evidence = () if self._sensors is None else self._sensors.evidence(_place(task))
         tasks = [replace(one, evidence=evidence) for one in tasks_in_boxes(image, camera, found.cars, how)]
         settings = RunSettings(self.prior, as_ground(self._ground), self._size_prior, self._options)
@@ -244,12 +250,18 @@ class Reconstructor:
 
     def _boxes_in(self, task: Mapping[str, Any], image: NDArray[np.uint8]) -> FileBoxes:
         """The cars of an image: as its row says, as the file of boxes, or as the detector finds them."""
+        source, detector = self._boxes or GivenBoxes(), self._networks[0]
+        source.check_classes(self._classes)
         if (given := task.get("boxes")) is not None:
-            return FileBoxes(_given(given, image))
-        if self._boxes is not None and self._boxes.file is not None:
-            return self._boxes.in_file(_place(task), image, scale_to_image=self._scale_to_image)
-        least_score = None if self._boxes is None else self._boxes.least_score
-        return FileBoxes(boxes_by(self._networks[0], image, least_score))
+            found = FileBoxes(_given(given, image))
+        elif source.file is not None:
+            scale = self._scale_to_image
+            found = source.in_file(_place(task), image, scale_to_image=scale, classes=self._classes)
+        else:
+            return FileBoxes(boxes_by(detector, image, source.least_score))
+        if self._classes is not ClassSource.DETECTED:
+            return found
+        return replace(found, cars=with_detected_classes(found.cars, image, detector))
 
     def _camera_of(self, task: Mapping[str, Any], image: NDArray[np.uint8], exif_camera: Camera | None) -> Camera:
         """The camera of an image, which knows its size; its vehicles tell the focal length where nobody else does."""

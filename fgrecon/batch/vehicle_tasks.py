@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
-from fgrecon.core.choices import BoxModel
+from fgrecon.core.choices import BoxModel, ClassSource
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.input_warnings import InputWarnings, camera_warning_of, input_warning_of
@@ -26,7 +26,7 @@ from fgrecon.io.keypoints import NOT_JSON, parse_any_keypoints, read_any_keypoin
 from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.track_file import parse_track
 from fgrecon.perception.keypoints.detect import CascadeDetection, KeypointCascade, check_box
-from fgrecon.perception.protocols import check_category
+from fgrecon.perception.protocols import check_category, class_by
 from fgrecon.perception.sensor_source import SensorSource
 
 Watch = Callable[[Sequence[Any], str], Iterable[Any]]
@@ -148,6 +148,32 @@ def _track_instances(data: object, path: Path, category: Category) -> tuple[list
     return instances, track.label_offset
 
 
+def with_classes(tasks: list[VehicleTask], classes: ClassSource | None) -> list[VehicleTask]:
+    """The vehicles of a file of keypoints, which is to say of which class each is, or not.
+
+    Raises:
+        InvalidInputError: Somebody else is to say it, or the file says it of none.
+    """
+    if classes is None:
+        return tasks
+    check_of_file(classes)
+    told = [replace(one, instance=one.instance.classed) for one in tasks]
+    if all(one.instance.vehicle_class is None for one in told):
+        fix = "Give vehicles a `kind`, such as car, van, Truck or bus; or leave it out."
+        raise InvalidInputError("classes", f"{classes.value}, which no vehicle has", fix)
+    return told
+
+
+def check_of_file(classes: ClassSource | None) -> None:
+    """Refuse classes by networks that do not look, since keypoints are given.
+
+    Raises:
+        InvalidInputError: They are to say it.
+    """
+    if classes not in (None, ClassSource.LABELS):
+        raise InvalidInputError("classes", classes.value, "Give images: of keypoints `labels` takes their `kind`.")
+
+
 @dataclass(frozen=True)
 class KeypointRequest:
     """How keypoints are detected in the boxes of an image."""
@@ -156,6 +182,7 @@ class KeypointRequest:
     weights: Path | None = None  # network, or None for the shipped one
     box_model: BoxModel | None = None  # what the boxes enclose, or None for what their source says
     networks: KeypointCascade | None = None  # the network where it is loaded already, or None
+    classes: ClassSource | None = None  # who says of which class the vehicles are, or None
 
 
 def image_tasks(
@@ -221,6 +248,7 @@ def tasks_in_boxes(
             track=item.track,
             kind=item.kind,
             score=item.score,
+            vehicle_class=class_by(how.classes, item.vehicle_class, detection.kinds),
         )
         tasks.append(VehicleTask(instance, camera, None, how.box_model or item.model))
     return tasks

@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import SYSTEM, BoxOutcome, VideoBox, labelled_azimuth, matched, outcome, wanted
-from fgrecon.calibration.matching import match_detections
 from fgrecon.calibration.setup import SETTINGS, Setup, reconstruct_boxes
 from fgrecon.core.camera import Camera
 from fgrecon.core.choices import ClassScheme, ClassSource
@@ -30,7 +30,7 @@ from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
 from fgrecon.io.track_file import GroundTruth, TrackFrame
-from fgrecon.perception.boxes import large_vehicles
+from fgrecon.perception.boxes import classes_at, large_vehicles
 from fgrecon.perception.from_image import FromImage
 from fgrecon.video.records import Sighting
 
@@ -126,19 +126,18 @@ def _classes(
     boxes: Array,
     detected: Sequence[VehicleClass | None],
     setup: Setup,
-) -> Sequence[VehicleClass | None] | None:
+) -> Sequence[VehicleClass | None] | Literal["keypoints"] | None:
     """Of which class each box (M, 4) is, of the label known[m]; None where nobody is to say."""
     if setup.classes is None:
         return None
+    if setup.classes is ClassSource.KEYPOINTS:
+        return "keypoints"
     if setup.classes is ClassSource.LABELS:
         kinds = frame.objects.kind
         return [None if label is None else VehicleClass(kinds[label], ClassScheme.KITTI) for label in known]
     if setup.vehicles is not None or setup.classifier is None:
         return detected
-    found = setup.classifier(image)
-    cars, others = (Objects.detections(["Car"] * len(some), some, np.ones(len(some))) for some in (boxes, found.boxes))
-    at = match_detections(cars, others, SETTINGS.matching_overlap)
-    return [None if number < 0 else found.classes[number] for number in at.tolist()]
+    return classes_at(boxes, image, setup.classifier)
 
 
 def _labels_of(frame: DriveFrame, boxes: Array) -> tuple[list[int | None], list[int]]:

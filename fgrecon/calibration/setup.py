@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +71,7 @@ def reconstruct_boxes(
     camera: Camera,
     boxes: Sequence[Array],
     setup: Setup,
-    classes: Sequence[VehicleClass | None] | None = None,
+    classes: Sequence[VehicleClass | None] | Literal["keypoints"] | None = None,
 ) -> list[FromImage]:
     """What is found in the boxes (4,) of an image, by their classes; their parts outside the image are cut off."""
     limits = np.array([image.shape[1], image.shape[0]] * 2) - 1.0

@@ -11,6 +11,7 @@ import typer
 from fgrecon.cli.options import (
     BOX_MODEL_HELP,
     CameraOptions,
+    ClassesOption,
     MinScoreOption,
     NamesOption,
     ScaleOption,
@@ -47,6 +48,7 @@ class BatchOptions:
         ),
     ] = None
     min_score: MinScoreOption = None
+    classes: ClassesOption = None
     table: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write all rows as one table (csv, parquet).")
     ] = None
@@ -92,8 +94,9 @@ def batch_command(
     from fgrecon.perception.boxes import GivenBoxes
 
     screen = terminal.screen()
-    settings = scene.settings(Options(strategy=scene.strategy, box=options.box_model, keep_history=False))
-    apart = ("box_model", "scale_to_image", "boxes", "min_score")
+    how = Options(strategy=scene.strategy, box=options.box_model, keep_history=False)
+    settings = scene.settings(how, options.classes)
+    apart = ("box_model", "scale_to_image", "boxes", "min_score", "classes")
     rest = {name: value for name, value in vars(options).items() if name not in apart}
     source = camera.source(scale_to_image=options.scale_to_image)
     boxes = GivenBoxes(file=options.boxes, least_score=options.min_score)

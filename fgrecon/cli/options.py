@@ -119,6 +119,14 @@ MinScoreOption = Annotated[
         show_default="0.5 in files, the detector's own otherwise",
     ),
 ]
+ClassesOption = Annotated[
+    ClassSource | None,
+    typer.Option(
+        help="Take vehicles in the size of their class, as their file, the vehicle detector or the keypoint networks "
+        "say it; vans, lorries, buses and trams of a file are then taken as well.",
+        show_default="all are cars",
+    ),
+]
 JsonOption = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - for the output.")
 ]
@@ -243,8 +251,12 @@ class SceneOptions:
         ),
     ] = None
 
-    def settings(self, options: Options) -> RunSettings:
+    def settings(self, options: Options, classes: ClassSource | None = None) -> RunSettings:
         """What holds for every vehicle of a run.
+
+        Args:
+            options: How they are solved, without what is said here.
+            classes: Who says of which class they are, or None.
 
         Raises:
             InvalidInputError: A value names nothing, or both a plane and a height are given.
@@ -258,7 +270,8 @@ class SceneOptions:
 
             options = load_calibration(self.calibration).applied(options)
         plane = parse_ground(self.ground, self.camera_height)
-        return RunSettings.of(self.prior, None if plane is None else plane[0], self.size_prior, options)
+        ground = None if plane is None else plane[0]
+        return replace(RunSettings.of(self.prior, ground, self.size_prior, options), classes=classes)
 
 
 @dataclass(frozen=True)
@@ -459,7 +472,7 @@ class DriveOptions:
     ] = False
     classes: Annotated[
         ClassSource | None,
-        typer.Option(help="Take each vehicle for one of the class that its label, or the vehicle detector, says."),
+        typer.Option(help="Take each vehicle in the size of its class, as its label or a network says it."),
     ] = None
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1
 

@@ -12,6 +12,7 @@ import typer
 from fgrecon.cli.options import (
     BOX_MODEL_HELP,
     CameraOptions,
+    ClassesOption,
     Delivery,
     HistoryOption,
     JsonOption,
@@ -45,6 +46,7 @@ class Solving:
             show_default="surface for keypoint files and --box, as --boxes says, detected for --detect",
         ),
     ] = None
+    classes: ClassesOption = None
     joint: Annotated[bool, typer.Option("--joint/--no-joint", help="Let pose and shape move together.")] = True
     free_offsets: Annotated[
         bool,
@@ -251,5 +253,6 @@ class ReconstructRequest:
                 box=self.solving.box_model or BoxModel.SURFACE,
                 shape=ShapeOptions(joint=self.solving.joint, free_offsets=self.solving.free_offsets),
                 keep_history=keep,
-            )
+            ),
+            self.solving.classes,
         )

@@ -10,6 +10,7 @@ import typer
 
 from fgrecon.cli.options import (
     CameraOptions,
+    ClassesOption,
     Delivery,
     JsonOption,
     ScaleOption,
@@ -78,6 +79,7 @@ class VehicleOptions:
             "each image (YOLO, KITTI).",
         ),
     ] = None
+    classes: ClassesOption = None
     forget_ids: Annotated[bool, typer.Option("--forget-ids", help="Give those vehicles ids anew.")] = False
     scale_to_image: ScaleOption = False
     box_model: Annotated[
@@ -144,11 +146,13 @@ class RunOptions:
         return VideoRequest(
             source=source,
             out=out,
-            settings=self.scene.settings(Options(strategy=self.scene.strategy, keep_history=False)),
+            settings=self.scene.settings(
+                Options(strategy=self.scene.strategy, keep_history=False), self.vehicles.classes
+            ),
             camera=self.camera.source(scale_to_image=self.vehicles.scale_to_image),
             **vars(self.frames),
             **vars(self.motion),
-            **{name: value for name, value in vars(self.vehicles).items() if name != "scale_to_image"},
+            **{n: value for n, value in vars(self.vehicles).items() if n not in ("scale_to_image", "classes")},
             sensors=self.sensors.of_video(source, self.camera.source()),
             video=self.drawn.video,
             picture_frame=self.drawn.picture_frame,

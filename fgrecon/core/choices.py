@@ -50,11 +50,14 @@ class ClassScheme(StrEnum):
 
 
 class ClassSource(StrEnum):
-    """Who says of which class labelled vehicles are."""
+    """Who says of which class vehicles are."""
 
     LABELS = "labels"
+    """Whoever labelled or found them: the file of their boxes, keypoints or tracks."""
     DETECTED = "detected"
     """The package's own vehicle detector."""
+    KEYPOINTS = "keypoints"
+    """The keypoint networks."""
 
 
 class StrategyName(StrEnum):

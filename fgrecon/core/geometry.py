@@ -103,3 +103,13 @@ def turn_between(first: Array, second: Array) -> float:
 def box_around(points: Array) -> Array:
     """(4,) x1, y1, x2, y2 of the smallest upright box around points (n, 2)."""
     return np.concatenate([points.min(axis=0), points.max(axis=0)])
+
+
+def box_overlaps(first: Array, second: Array) -> Array:
+    """(M, N) intersection over union of boxes (M, 4) and (N, 4), x1, y1, x2, y2."""
+    low = np.maximum(first[:, None, :2], second[None, :, :2])
+    high = np.minimum(first[:, None, 2:], second[None, :, 2:])
+    common = np.clip(high - low, 0.0, None).prod(axis=2)
+    areas = [(boxes[:, 2:] - boxes[:, :2]).prod(axis=1) for boxes in (first, second)]
+    union = areas[0][:, None] + areas[1][None] - common
+    return np.asarray(common / np.maximum(union, 1e-9))

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
 from fgrecon.core.text import counted
+from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.box_csv import CsvBox, read_csv_boxes
+from fgrecon.io.catalogue import class_of_kind
 from fgrecon.io.files import read_text
 from fgrecon.io.frame_names import of_one_image
 from fgrecon.io.image_size import scale_between
@@ -55,6 +57,7 @@ class NamedBox:
     score: float | None = None  # of its detector, or None
     track: int | None = None  # id that a tracker gave it, or None
     kind: str | None = None  # its class as the file has it, one word such as `car`; or None
+    vehicle_class: VehicleClass | None = None  # the same as evidence of its size; None where nobody says
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,7 @@ def boxes_in(
     least_score: float | None = None,
     *,
     scale_to_image: bool = False,
+    all_classes: bool = False,
 ) -> FileBoxes:
     """The cars of an image in a file, and what else it has.
 
@@ -145,6 +149,7 @@ def boxes_in(
         least_score: Boxes of a lower score are left out; None for 0.5, and all of KITTI's results, whose scores are
             of any scale.
         scale_to_image: Whether boxes are scaled to the image where the file has a size of the same shape for it.
+        all_classes: Whether vans, lorries, buses and trams are taken as well.
 
     Raises:
         InvalidInputError: The file cannot be read or has another format, several of its images may be meant, or it
@@ -153,9 +158,7 @@ def boxes_in(
     given = Path(image)
     image = given.name
     if is_nuscenes(file):
-        cuboids, near = cuboid_boxes(open_nuscenes(file), image, "vehicle.car")
-        cars = [NamedBox(token, corners, BoxModel.CUBOID, kind=_CAR) for token, corners in cuboids]
-        return FileBoxes(cars, near=near)
+        return _of_nuscenes(file, image, all_classes=all_classes)
     if file.is_dir():
         own = next((path for ending in ENDINGS if (path := file / f"{image}{ending}").is_file()), None)
         if own is None:
@@ -164,12 +167,12 @@ def boxes_in(
         file = own
     if file.suffix.lower() == ".json":
         least = LEAST_SCORE if least_score is None else least_score
-        return _coco(file, _changed(file)).of_image(given, size, least, scale=scale_to_image)
+        return _coco(file, _changed(file)).of_image(given, size, least, scale=scale_to_image, all_classes=all_classes)
     rows = [
         (number, box.in_image(file, number, size, scale=scale_to_image) if isinstance(box, _Relative | _Sized) else box)
         for number, box in _lines(file, _changed(file))
     ]
-    return _of_lines(rows, image, least_score)
+    return _of_lines(rows, image, least_score, all_classes=all_classes)
 
 
 def _check_folder(folder: Path) -> None:
@@ -227,7 +230,28 @@ def _lines(file: Path, changed: int) -> tuple[tuple[int, _Box | _Relative | _Siz
     return tuple(rows)
 
 
-def _of_lines(rows: Sequence[tuple[int, _Box]], image: str, least_score: float | None) -> FileBoxes:
+def _taken(kind: str, *, all_classes: bool) -> bool:
+    """Whether boxes of a class are."""
+    return kind.lower() == _CAR or (all_classes and class_of_kind(kind) is not None)
+
+
+def _of_nuscenes(file: Path, image: str, *, all_classes: bool) -> FileBoxes:
+    """The boxes of an image by nuScenes' tables."""
+    found = FileBoxes([])
+    for one in cuboid_boxes(open_nuscenes(file), image):
+        known, kind = class_of_kind(one.category), one.category.split(".")[:2][-1]  # vehicle.car, vehicle.bus.rigid
+        if not (kind == _CAR or (all_classes and known is not None)):
+            found.classes[kind] += one.corners is not None
+        elif one.corners is None:
+            found = replace(found, near=found.near + 1)
+        else:
+            found.cars.append(NamedBox(one.token, one.corners, BoxModel.CUBOID, kind=kind, vehicle_class=known))
+    return found
+
+
+def _of_lines(
+    rows: Sequence[tuple[int, _Box]], image: str, least_score: float | None, *, all_classes: bool
+) -> FileBoxes:
     """The cars of an image among the boxes of lines."""
     same = of_one_image((box.image for _, box in rows if box.image is not None), image)
     found = FileBoxes([])
@@ -235,13 +259,14 @@ def _of_lines(rows: Sequence[tuple[int, _Box]], image: str, least_score: float |
     for number, box in rows:
         if box.image is not None and box.image not in same:
             found.images[box.image] += 1
-        elif box.kind.lower() != _CAR:
+        elif not _taken(box.kind, all_classes=all_classes):
             found.classes[box.kind] += 1
         elif box.below(least_score):
             low += 1
         else:
             name = str(number if box.named else len(found.cars))
-            found.cars.append(NamedBox(name, box.corners, box.model, box.score, box.track, box.kind))
+            known = class_of_kind(box.kind)
+            found.cars.append(NamedBox(name, box.corners, box.model, box.score, box.track, box.kind, known))
     return replace(found, low=low)
 
 
@@ -433,7 +458,9 @@ class _Coco:
     kinds: Mapping[int | str | None, str] | None  # names of the classes by their ids; None where it has none
     names: Mapping[int | str | None, str]  # of the images by their ids
 
-    def of_image(self, image: Path, size: tuple[int, int] | None, least_score: float, *, scale: bool) -> FileBoxes:
+    def of_image(
+        self, image: Path, size: tuple[int, int] | None, least_score: float, *, scale: bool, all_classes: bool
+    ) -> FileBoxes:
         """The boxes of an image, those of a lower score left out."""
         ids, ratio = self.ids(image), np.ones(4)
         for number, picture in enumerate(self.pictures or ()):
@@ -447,7 +474,7 @@ class _Coco:
         own = (pair for place in ids for pair in self.entries.get(place, ()))
         for number, fields in sorted(own, key=itemgetter(0)):
             kind = self._kind(fields)
-            if kind.lower() != _CAR:
+            if not _taken(kind, all_classes=all_classes):
                 found.classes[kind] += 1
             elif fields.data.get("iscrowd") == 1:
                 crowds += 1
@@ -460,7 +487,8 @@ class _Coco:
                 corners = np.array([x, y, x + width, y + height]) * ratio
                 track = plain_id(fields.data.get("track_id"))
                 number_of = track if isinstance(track, int) and track >= 0 else None
-                found.cars.append(NamedBox(str(number), corners, BoxModel.SURFACE, score, number_of, kind))
+                known = class_of_kind(kind)
+                found.cars.append(NamedBox(str(number), corners, BoxModel.SURFACE, score, number_of, kind, known))
         return replace(found, low=low, crowds=crowds, images=+found.images)
 
     def ids(self, image: Path) -> set[int | str | None]:

@@ -30,10 +30,12 @@ from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_instance, as_path
+from fgrecon.core.choices import ClassScheme
 from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import ClassSizes
+from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes, write_text
 from fgrecon.io.integrity import check_hash
@@ -87,6 +89,19 @@ def load_prior(source: ShapePrior | str | Path) -> ShapePrior:
     if isinstance(source, str) and source in shipped_priors():
         return _shipped_prior(source)
     return _prior_from_npz(str(source), _read(Path(source), "prior", shipped_priors()))
+
+
+def class_of_kind(kind: str | None) -> VehicleClass | None:
+    """The class of a vehicle that a file calls by one word; None where no scheme has the word.
+
+    KITTI's begin with a capital: its `Truck` is a lorry, a detector's `truck`, as COCO calls them, may be a van.
+    """
+    if kind is None:
+        return None
+    first = ClassScheme.KITTI if kind[:1].isupper() else ClassScheme.COCO
+    schemes, name = shipped_class_sizes().schemes, kind.lower()
+    known = next((one for one in (first, *ClassScheme) if name in schemes.get(one.value, {})), None)
+    return None if known is None else VehicleClass(name, known)
 
 
 @lru_cache

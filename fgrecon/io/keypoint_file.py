@@ -42,6 +42,8 @@ from fgrecon.core.category import Category
 from fgrecon.core.checks import one_word
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation, scaled_pixels
+from fgrecon.core.vehicle_class import VehicleClass
+from fgrecon.io.catalogue import class_of_kind
 from fgrecon.io.image_size import scale_between
 from fgrecon.io.images import IMAGES, refuse_unread
 from fgrecon.io.json_fields import Fields, numbers, plain_id, read_json
@@ -92,6 +94,7 @@ class Instance:
     kind: str | None = None  # what it is, one word such as `Van`, which results repeat; or None
     score: float | None = None  # how sure its detector is, which exports repeat; or None
     image_size: tuple[int, int] | None = None  # width and height in pixels that the file states of its image, or None
+    vehicle_class: VehicleClass | None = None  # of which class it is, where that is to tell its size; or None
 
     def fitted(self, size: tuple[int, int] | None, *, scale: bool = False) -> Instance:
         """The same in pixels of an image of a size, which is the camera's or the picture's; None where it is not known.
@@ -109,6 +112,11 @@ class Instance:
         return replace(self, **scaled_pixels(self.keypoints, self.box, self.covariance, ratio), image_size=size)
 
     @property
+    def classed(self) -> Instance:
+        """The same, whose kind tells its size where it is the name of a class."""
+        return replace(self, vehicle_class=class_of_kind(self.kind))
+
+    @property
     def observation(self) -> Observation:
         """What `fgrecon.reconstruct` takes; without confidences each point is as likely right as wrong.
 
@@ -118,7 +126,8 @@ class Instance:
         seen = Observation.of(
             self.keypoints, self.confidence, self.box, self.covariance, self.confidence_midpoint, self.azimuth
         )
-        return replace(seen, image_size=self.image_size)
+        said = () if self.vehicle_class is None else (self.vehicle_class,)
+        return replace(seen, image_size=self.image_size, evidence=said)
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ rear axle), the vehicle's in the world; a camera's own frame is that of fgrecon.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,15 +110,22 @@ NEAREST = 0.5
 _CORNERS = np.array([*product((0.5, -0.5), repeat=3)])
 
 
-def cuboid_boxes(tables: NuScenesTables, image: str, kind: str) -> tuple[list[tuple[str, Array]], int]:
-    """The boxes (4,) of the objects of a category that are in an image, cut at its edges, with their tokens.
+class CuboidBox(NamedTuple):
+    """A labelled object of an image: token, category such as `vehicle.car`, and (4,) box; None where it has none."""
 
-    Those that reach nearer to the camera than its near plane have none; how many they are comes second.
+    token: str
+    category: str
+    corners: Array | None
+
+
+def cuboid_boxes(tables: NuScenesTables, image: str) -> Iterator[CuboidBox]:
+    """The labelled objects that are in an image, with their boxes, cut at its edges.
+
+    Those that reach nearer to the camera than its near plane have none.
 
     Args:
         tables: The tables; of `sample_annotation`, `instance` and `category` as well.
         image: Name of the image.
-        kind: Category, such as `vehicle.car`.
 
     Raises:
         InvalidInputError: There is no such image, or a record is malformed.
@@ -128,21 +135,21 @@ def cuboid_boxes(tables: NuScenesTables, image: str, kind: str) -> tuple[list[tu
     matrix = sensor.numbers("camera_intrinsic", (3, 3))
     camera_T_world = np.linalg.inv(pose_of(tables.named(record, "ego_pose_token", "ego_pose")) @ pose_of(sensor))
     limits = np.array([record.get("width", int), record.get("height", int)]) - 1.0
-    sample, found, near = record.get("sample_token", str), [], 0
+    sample = record.get("sample_token", str)
     for token, label in tables.table("sample_annotation").items():
-        if label.data.get("sample_token") == sample and _category(tables, label) == kind:
+        if label.data.get("sample_token") == sample:
             width, length, height = label.numbers("size", (3,))
             camera_T_object = camera_T_world @ pose_of(label)
             corners = transform(camera_T_object, _CORNERS * [length, width, height])
             if corners[:, 2].min() < NEAREST:
-                near += corners[:, 2].max() > NEAREST
+                if corners[:, 2].max() > NEAREST:
+                    yield CuboidBox(token, _category(tables, label), None)
                 continue
             pixels = corners @ matrix.T
             pixels = pixels[:, :2] / pixels[:, 2:]
             box = np.concatenate([np.clip(pixels.min(0), 0.0, limits), np.clip(pixels.max(0), 0.0, limits)])
             if (box[2:] - box[:2]).min() >= 1.0:
-                found.append((token, box))
-    return found, near
+                yield CuboidBox(token, _category(tables, label), box)
 
 
 def camera_T_lidar(tables: NuScenesTables, image: str, sweep: str) -> Array:

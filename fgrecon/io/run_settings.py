@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.choices import BoxModel
+from fgrecon.core.choices import BoxModel, ClassSource
 from fgrecon.core.options import BoxOptions, KeypointOptions, Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
@@ -26,6 +26,7 @@ class RunSettings:
     size_prior: SizePrior | None  # how large vehicles are, or None
     options: Options  # how they are solved
     prior_file: Path | None = None  # where the prior is from; None for a shipped one
+    classes: ClassSource | None = None  # who says of which class vehicles are; None where all are cars
 
     @classmethod
     def of(cls, prior: str, ground: Ground | None, size_prior: str | None, options: Options) -> RunSettings:
@@ -63,6 +64,7 @@ def settings_to_dict(settings: RunSettings) -> dict[str, Any]:
         "strategy": options.strategy.name.value,
         "box_model": options.box.model.value,
         **({} if options.traffic is None else {"traffic": options.traffic.value}),
+        **({} if settings.classes is None else {"classes": settings.classes.value}),
         **_changed("keypoints", options.keypoints, KeypointOptions()),
         **_changed("boxes", replace(options.box, model=BoxModel.SURFACE), BoxOptions()),
     }

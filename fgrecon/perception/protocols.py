@@ -7,16 +7,18 @@ Nothing is inherited and nothing registered: whatever can be called like this ca
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
+from fgrecon.core.choices import ClassSource
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
+from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.perception.vehicles import Vehicles
 
 
@@ -78,6 +80,21 @@ def check_category(detector: object, category: Category) -> None:
     if detector.category != category.name:
         fix = f"The prior's is {category.name}: give a detector and a prior of one category."
         raise InvalidInputError("keypoint_detector.category", detector.category, fix)
+
+
+def class_by(
+    source: ClassSource | None, said: VehicleClass | None, kinds: Mapping[str, float] | None
+) -> VehicleClass | None:
+    """Of which class a vehicle is, by who is to say it; None where nobody is, or does.
+
+    Args:
+        source: Who is to say it, or None.
+        said: What is said with its box.
+        kinds: What the keypoint detector says (`Detection.kinds`).
+    """
+    if source is not ClassSource.KEYPOINTS:
+        return None if source is None else said
+    return None if kinds is None else VehicleClass(kinds)
 
 
 def find_keypoints(

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.compiled import assignment
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import box_around, transform
+from fgrecon.core.geometry import box_around, box_overlaps, transform
 
 Array = NDArray[np.float64]
 
@@ -238,7 +238,7 @@ class GatedAssociation:
         costs = np.full((len(tracks), len(candidates)), _REFUSED)
         how = self.settings
         predicted = np.array([_as_box(self._box_at(track, time)) for track in tracks])
-        overlap = overlaps(predicted, np.array([c.box for c in candidates]))
+        overlap = box_overlaps(predicted, np.array([c.box for c in candidates]))
         for row, track in enumerate(tracks):
             for column, candidate in enumerate(candidates):
                 off = self._deviation(track, candidate, time)
@@ -282,16 +282,6 @@ class GatedAssociation:
             before, now = both
             directions = before + how.direction_gain * (now - before)
         return _Track(time, box, box_rate, place, place_rate, candidate.spread, None, directions, observations)
-
-
-def overlaps(first: Array, second: Array) -> Array:
-    """(M, N) intersection over union of boxes (M, 4) and (N, 4)."""
-    low = np.maximum(first[:, None, :2], second[None, :, :2])
-    high = np.minimum(first[:, None, 2:], second[None, :, 2:])
-    common = np.clip(high - low, 0.0, None).prod(axis=2)
-    areas = [(boxes[:, 2:] - boxes[:, :2]).prod(axis=1) for boxes in (first, second)]
-    union: Array = areas[0][:, None] + areas[1][None] - common
-    return np.asarray(common / np.maximum(union, 1e-9))
 
 
 def ground_contact(

@@ -150,7 +150,7 @@ class Follower:
         ids = self.association(record.time, [self._candidate(s) for s in unknown], previous_T_current)
         named = {s.identity: s for s in known} | dict(zip(ids, unknown, strict=True))
         sightings = {identity: s for identity, s in named.items() if identity is not None}
-        observations = {i: s.observation for i, s in sightings.items() if s.observation is not None}
+        observations = {i: told for i, s in sightings.items() if (told := s.told) is not None}
         estimates = self.tracker.update(
             record.time,
             observations,

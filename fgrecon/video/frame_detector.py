@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
+from fgrecon.core.choices import ClassSource
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.source_frames import SourceFrame
+from fgrecon.perception.boxes import classes_at
 from fgrecon.perception.keypoints.detect import check_box, large_enough
-from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find_keypoints, find_vehicles
+from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, class_by, find_keypoints, find_vehicles
 from fgrecon.video.records import FrameRecord, Sighting
 
 
@@ -31,16 +33,18 @@ class FrameDetector:
         vehicle_detector: VehicleDetector | None = None,
         keypoint_detector: KeypointDetector | None = None,
         given: Mapping[int, Sequence[Sighting]] | None = None,
+        classes: ClassSource | None = None,
     ) -> None:
         """Take what looks.
 
         Args:
             category: Category of the keypoints.
-            vehicle_detector: Finds the boxes where none are given.
+            vehicle_detector: Finds the boxes where none are given, or says of which class those are.
             keypoint_detector: Finds the keypoints where none are given.
             given: Vehicles by the number of their frame, instead of the detector's.
+            classes: Who says of which class vehicles are; None where all are cars.
         """
-        self.category = category
+        self.category, self._classes = category, classes
         self._vehicles, self._keypoints, self.given = vehicle_detector, keypoint_detector, given
 
     def __call__(self, frame: SourceFrame) -> FrameRecord:
@@ -54,22 +58,30 @@ class FrameDetector:
     def vehicles(self, frame: SourceFrame) -> Sequence[Sighting]:
         """The vehicles of a frame, keypoints of those alone for which they were given; the arguments are the call's."""
         if self.given is not None:
-            return () if frame.other_size else self.given.get(frame.number, ())
+            return () if frame.other_size else self._of_classes(self.given.get(frame.number, ()), frame.image)
         if frame.image is None:
             return ()
         assert self._vehicles is not None
-        vehicles = find_vehicles(self._vehicles, frame.image)
-        kinds = vehicles.kinds or [None] * len(vehicles)
-        each = zip(vehicles.boxes, vehicles.scores, kinds, strict=True)
-        return [Sighting(box, float(s), None, None, kind) for box, s, kind in each if large_enough(box)]
+        found = find_vehicles(self._vehicles, frame.image)
+        kinds, named = found.kinds or [None] * len(found), found.classes or [None] * len(found)
+        each = zip(found.boxes, found.scores, kinds, named, strict=True)
+        return [Sighting(box, float(s), None, None, k, one) for box, s, k, one in each if large_enough(box)]
+
+    def _of_classes(self, given: Sequence[Sighting], image: NDArray[np.uint8] | None) -> Sequence[Sighting]:
+        """Given vehicles of a frame, of the classes that the vehicle detector says where it is to say them."""
+        if self._classes is not ClassSource.DETECTED or image is None or not given:
+            return given
+        assert self._vehicles is not None
+        classes = classes_at(np.array([one.box for one in given]), image, self._vehicles)
+        return [replace(one, vehicle_class=known) for one, known in zip(given, classes, strict=True)]
 
     def record(self, frame: SourceFrame, vehicles: Sequence[Sighting]) -> FrameRecord:
         """What the frame shows, by its `vehicles`."""
         image = frame.image
+        sightings = [replace(s, vehicle_class=class_by(self._classes, s.vehicle_class, None)) for s in vehicles]
         if image is None:
-            kept = tuple(sighting for sighting in vehicles if sighting.observation is not None)
+            kept = tuple(sighting for sighting in sightings if sighting.observation is not None)
             return FrameRecord(frame.number, frame.time, frame.name, frame.problem, kept)
-        sightings = [*vehicles]
         limits = np.array([image.shape[1], image.shape[0]] * 2) - 1.0
         bare = [place for place, s in enumerate(sightings) if s.observation is None and _usable(s.box, image, limits)]
         boxes = np.array([np.clip(sightings[place].box, 0.0, limits) for place in bare]).reshape(-1, 4)
@@ -77,8 +89,9 @@ class FrameDetector:
             assert self._keypoints is not None
             detections = find_keypoints(self._keypoints, image, boxes, self.category)
             for place, box, detection in zip(bare, boxes, detections, strict=True):
-                one = sightings[place]
-                sightings[place] = replace(one, box=box, observation=replace(detection.evidence, box=box))
+                known = class_by(self._classes, sightings[place].vehicle_class, detection.kinds)
+                seen = replace(detection.evidence, box=box)
+                sightings[place] = replace(sightings[place], box=box, observation=seen, vehicle_class=known)
         return FrameRecord(frame.number, frame.time, frame.name, None, tuple(sightings))
 
 

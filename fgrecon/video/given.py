@@ -33,6 +33,7 @@ from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around
 from fgrecon.io.boxes import ENDINGS, boxes_in
+from fgrecon.io.catalogue import class_of_kind
 from fgrecon.io.frame_names import frames_by_name, number_of
 from fgrecon.io.frames import FrameSource, ImageFrames
 from fgrecon.io.image_size import scale_between
@@ -45,6 +46,8 @@ from fgrecon.video.records import Sighting
 
 KINDS = ("Car", "Van")
 """Types of KITTI's objects that are taken, in capitals or not."""
+
+_ANY = ("vehicles of a known class",)
 
 _REGION = "dontcare"  # KITTI's areas without labels
 
@@ -117,7 +120,14 @@ class Given:
         return all(s.observation is not None for sightings in self.vehicles.values() for s in sightings)
 
 
-def read_given(path: Path, category: Category, *, forget_ids: bool = False, source: FrameSource | None = None) -> Given:
+def read_given(
+    path: Path,
+    category: Category,
+    *,
+    forget_ids: bool = False,
+    source: FrameSource | None = None,
+    all_classes: bool = False,
+) -> Given:
     """The vehicles of a file.
 
     Args:
@@ -125,6 +135,7 @@ def read_given(path: Path, category: Category, *, forget_ids: bool = False, sour
         category: Category of its keypoints.
         forget_ids: Whether ids are left out, so that vehicles are associated anew.
         source: The frames that they are of; None where the file alone tells them.
+        all_classes: Whether lorries, buses and trams are taken as well.
 
     Raises:
         InvalidInputError: The file has another format, an instance names no frame, or an id is too large or twice in
@@ -134,14 +145,14 @@ def read_given(path: Path, category: Category, *, forget_ids: bool = False, sour
     kinds: tuple[str, ...] = KINDS
     cuboids, camera, times = False, None, None
     if path.is_dir() or path.suffix.lower() == ".csv":
-        rows, cuboids = _of_images(path, source, left_out)
+        rows, cuboids = _of_images(path, source, left_out, all_classes=all_classes)
         kinds = KINDS[:1]
     elif path.suffix.lower() == ".json":
         rows, camera, times = _keypoints(path, category, source)
     elif _is_mot(path):
         rows = _mot(path, source, left_out)
     else:
-        rows, cuboids = _boxes(path, left_out), True
+        rows, cuboids = _boxes(path, left_out, all_classes=all_classes), True
     by_frame: dict[int, list[Sighting]] = defaultdict(list)
     for number, sighting in rows:
         by_frame[number].append(replace(sighting, identity=None) if forget_ids else sighting)
@@ -151,10 +162,12 @@ def read_given(path: Path, category: Category, *, forget_ids: bool = False, sour
         value = f"{path} with {in_words(left_out)}" if left_out else str(path)
         raise InvalidInputError("tracks", value, f"Give a file with a vehicle: {' or '.join(kinds)}; {_FORMATS}.")
     vehicles = {number: tuple(sightings) for number, sightings in by_frame.items()}
-    return Given(vehicles, camera, cuboids, times, left_out, kinds)
+    return Given(vehicles, camera, cuboids, times, left_out, _ANY if all_classes else kinds)
 
 
-def _of_images(path: Path, source: FrameSource | None, left_out: Counter[str]) -> tuple[_Rows, bool]:
+def _of_images(
+    path: Path, source: FrameSource | None, left_out: Counter[str], *, all_classes: bool
+) -> tuple[_Rows, bool]:
     """The boxes of a folder with a file for each image, or of a CSV that names them; and whether they are of cuboids.
 
     Raises:
@@ -166,13 +179,14 @@ def _of_images(path: Path, source: FrameSource | None, left_out: Counter[str]) -
     rows, cuboids, others = [], False, []
     names = _images_of_frames(path, source)
     for number, image in names.items():
-        found = boxes_in(path, image, (first.shape[1], first.shape[0]), least_score=0.0)
+        size = first.shape[1], first.shape[0]
+        found = boxes_in(path, image, size, least_score=0.0, all_classes=all_classes)
         left_out.update({kind: count for kind, count in found.classes.items() if kind.lower() != _REGION})
         others.append(found.images)
         cuboids |= any(one.model is BoxModel.CUBOID for one in found.cars)
         for one in found.cars:
             score, kind = 1.0 if one.score is None else one.score, None if one.kind is None else one.kind.capitalize()
-            rows.append((number, Sighting(one.corners, score, one.track, None, kind)))
+            rows.append((number, Sighting(one.corners, score, one.track, None, kind, one.vehicle_class)))
     if elsewhere := sum(reduce(and_, others, others[0]).values() if others else ()):  # of no image among the frames
         left_out["of images that are no frames"] += elsewhere
     return rows, cuboids
@@ -212,18 +226,20 @@ def _check_ids(ids: Sequence[int], place: str) -> None:
         raise InvalidInputError(place, f"track {largest}", f"Give ids up to {_LARGEST_ID}.")
 
 
-def _boxes(path: Path, left_out: Counter[str]) -> _Rows:
+def _boxes(path: Path, left_out: Counter[str], *, all_classes: bool) -> _Rows:
     """KITTI's boxes; those of other types are counted."""
     rows = []
     for number, labels in read_tracking(path).items():
-        for i, kind in enumerate(labels.objects.kind):
-            if kind.capitalize() in KINDS:
+        for i, written in enumerate(labels.objects.kind):
+            kind = written.capitalize()
+            known = class_of_kind(kind)
+            if kind in KINDS or (all_classes and known is not None):
                 score, track = float(labels.objects.score[i]), int(labels.tracks[i])
                 identity = None if track < 0 else track
-                known = 1.0 if np.isnan(score) else score
-                rows.append((number, Sighting(labels.objects.box[i], known, identity, None, kind.capitalize())))
+                sure = 1.0 if np.isnan(score) else score
+                rows.append((number, Sighting(labels.objects.box[i], sure, identity, None, kind, known)))
             elif kind.lower() != _REGION:
-                left_out[kind] += 1
+                left_out[written] += 1
     return rows
 
 
@@ -351,4 +367,4 @@ def _sighting(instance: Instance, path: Path) -> Sighting:
     around = box_around(points)
     box = around if observation.box is None else observation.box
     score = 1.0 if instance.score is None else instance.score
-    return Sighting(box, score, instance.track, observation, instance.kind)
+    return Sighting(box, score, instance.track, observation, instance.kind, instance.classed.vehicle_class)

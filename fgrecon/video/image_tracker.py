@@ -7,16 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
+from fgrecon.core.choices import ClassSource
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.options import Options
+from fgrecon.core.settings import one_of
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.catalogue import load_prior
@@ -52,6 +54,7 @@ class ImageTracker:
         vehicle_detector: VehicleDetector | None = None,
         keypoint_detector: KeypointDetector | None = None,
         association: Association | None = None,
+        classes: Literal["detected", "keypoints"] | None = None,
         **arguments: Any,
     ) -> None:
         """Prepare for vehicles of one category.
@@ -63,6 +66,7 @@ class ImageTracker:
             keypoint_detector: Finds the keypoints; None for the networks of the package.
             association: Gives ids; None for one that forgets vehicles that it has not seen for two seconds, the
                 tracker's past of them as well. `GatedAssociation()` keeps that for `smooth`.
+            classes: Who says of which class vehicles are, as in `fgrecon.reconstruct_image`; None where all are cars.
             arguments: Further ones of `fgrecon.Tracker`: size_prior, window, shared_ground, past, motion_factors.
 
         Raises:
@@ -75,7 +79,10 @@ class ImageTracker:
         chosen = for_detected(options) if vehicle_detector is None else options
         self.tracker = Tracker(prior=shape_prior, options=chosen, **arguments)
         self.frame: TrackedFrame | None = None
-        self._look = FrameDetector(shape_prior.category, vehicle_detector=boxes, keypoint_detector=networks)
+        said = None if classes is None else one_of(ClassSource, "classes", classes)
+        self._look = FrameDetector(
+            shape_prior.category, vehicle_detector=boxes, keypoint_detector=networks, classes=said
+        )
         self._association = GatedAssociation(given_up=self.tracker.forget) if association is None else association
         self._places: dict[int, NDArray[np.float64]] = {}  # of the camera in the image at hand, by its number
         self._follower: Follower | None = None

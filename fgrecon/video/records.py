@@ -6,6 +6,7 @@ Numbers are stored with every bit: a run that goes on from what is stored gives 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.observation import Observation
 from fgrecon.core.text import whole_text
+from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.video.egomotion import CameraMotion
 
 Array = NDArray[np.float64]
@@ -36,6 +38,7 @@ class Sighting:
         identity: Id that it came with, or None.
         observation: Its keypoints; None where there are none.
         kind: What it was said to be by what detected it, such as `Van`; None where that says nothing.
+        vehicle_class: Of which class it is, where that is to tell its size; or None.
     """
 
     box: Array
@@ -43,6 +46,14 @@ class Sighting:
     identity: int | None
     observation: Observation | None
     kind: str | None = None
+    vehicle_class: VehicleClass | None = None
+
+    @property
+    def told(self) -> Observation | None:
+        """What a tracker takes: the keypoints with the class; None where there are none."""
+        if self.observation is None or self.vehicle_class is None:
+            return self.observation
+        return self.observation.with_evidence([self.vehicle_class])
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +80,7 @@ class FrameRecord:
 def record_schema() -> Any:
     """The columns of the stored records, a row for each frame."""
     sighting = [("box", _NUMBERS), ("score", pa.float64()), ("identity", pa.int64()), ("midpoint", pa.float64())]
-    sighting += [("boxed", pa.bool_()), ("kind", pa.string())]
+    sighting += [("boxed", pa.bool_()), ("kind", pa.string()), ("classes", pa.string())]
     fields = [
         *(("row_id", pa.string()), ("frame", pa.int64()), ("time", pa.float64())),
         *(("name", pa.string()), ("problem", pa.string())),
@@ -129,7 +140,7 @@ def motion_from_row(row: Mapping[str, Any]) -> CameraMotion | None:
 
 
 def _plain(sighting: Sighting) -> dict[str, Any]:
-    observation = sighting.observation
+    observation, said = sighting.observation, sighting.vehicle_class
     arrays: dict[str, Any] = dict.fromkeys(_ARRAYS)
     if observation is not None:
         values = {name: getattr(observation, name) for name in _ARRAYS}
@@ -141,14 +152,17 @@ def _plain(sighting: Sighting) -> dict[str, Any]:
         "midpoint": None if observation is None else observation.confidence_midpoint,
         "boxed": observation is not None and observation.box is not None,
         "kind": None if sighting.kind is None else whole_text(sighting.kind),
+        "classes": None if said is None else json.dumps([said.scheme.value, dict(said.probabilities)]),
         **arrays,
     }
 
 
 def _sighting(item: Mapping[str, Any]) -> Sighting:
     box = np.array(item["box"])
+    scheme, probabilities = json.loads(item.get("classes") or "[null, null]")  # runs of before have none
+    known = None if scheme is None else VehicleClass(probabilities, scheme)
     if item["keypoints"] is None:
-        return Sighting(box, item["score"], item["identity"], None, item["kind"])
+        return Sighting(box, item["score"], item["identity"], None, item["kind"], known)
     covariance, azimuth = item["covariance"], item["azimuth"]
     observation = Observation(
         np.array(item["keypoints"]).reshape(-1, 2),
@@ -158,4 +172,4 @@ def _sighting(item: Mapping[str, Any]) -> Sighting:
         item["midpoint"],
         None if azimuth is None else np.array(azimuth),
     )
-    return Sighting(box, item["score"], item["identity"], observation, item["kind"])
+    return Sighting(box, item["score"], item["identity"], observation, item["kind"], known)

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.batch.parts import refuse_batch
+from fgrecon.batch.vehicle_tasks import check_of_file
 from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
-from fgrecon.core.choices import BoxModel
+from fgrecon.core.choices import BoxModel, ClassSource
 from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.input_warnings import InputWarnings, camera_warning_of, input_warning_of, summed_up
@@ -122,6 +123,7 @@ class VideoJob:
             "category": self.settings.prior.category.name,
             "forget_ids": ask.forget_ids,
             **({"scale_to_image": True} if ask.camera.scale_to_image else {}),
+            **({} if (classes := ask.settings.classes) is None else {"classes": classes.value}),
         }
 
 
@@ -150,6 +152,7 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
         raise InvalidInputError("ground", ground.distance, fix)
     drive = _open_drive(request)
     source, given = _open_source(request, drive)
+    _check_classes(request, source, given)
     sense = _sense(request, source, drive)
     if source.assumed_rate:
         warn(
@@ -173,6 +176,22 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
     for line in drive.warnings if isinstance(drive, BagDrive) else ():
         warn(line)
     return VideoJob(request, source, camera, offset, settings, given, poses, moving, sense)
+
+
+def _check_classes(request: VideoRequest, source: FrameSource, given: Given | None) -> None:
+    """Refuse classes that nobody can say.
+
+    Raises:
+        InvalidInputError: They are labels' and there are none, or a network's that does not look.
+    """
+    classes = request.settings.classes
+    if classes is ClassSource.LABELS:
+        every = () if given is None else given.vehicles.values()
+        if all(one.vehicle_class is None for some in every for one in some):
+            fix = "Give vehicles whose class is known (--tracks); what the detector says is `detected`."
+            raise InvalidInputError("classes", classes.value, fix)
+    elif isinstance(source, NumberedFrames) or (classes is ClassSource.KEYPOINTS and given and given.complete):
+        check_of_file(classes)
 
 
 def _open_drive(request: VideoRequest) -> Drive | BagDrive | None:
@@ -232,10 +251,11 @@ def _open_source(request: VideoRequest, drive: Drive | BagDrive | None) -> tuple
     path, category = Path(request.source), request.settings.prior.category
     part: dict[str, Any] = {"every": request.every, "start": request.start, "end": request.end}
     choice = {"rate": request.fps} | part
+    how: dict[str, Any] = {"forget_ids": request.forget_ids, "all_classes": request.settings.classes is not None}
     if path.suffix.lower() == ".json":
         if request.tracks is not None:
             raise InvalidInputError("tracks", str(request.tracks), "Leave it out: keypoints are given already.")
-        given = read_given(path, category, forget_ids=request.forget_ids)
+        given = read_given(path, category, **how)
         if request.video is not None:
             raise InvalidInputError("video", request.source, "Give images: keypoints alone have none.")
         return numbered_frames(path, given.vehicles, times=given.times, **choice), given
@@ -252,7 +272,7 @@ def _open_source(request: VideoRequest, drive: Drive | BagDrive | None) -> tuple
         source = open_frames(request.source, **choice)
     if request.tracks is None:
         return source, None
-    return source, read_given(request.tracks, category, forget_ids=request.forget_ids, source=source)
+    return source, read_given(request.tracks, category, source=source, **how)
 
 
 def _camera(
@@ -312,12 +332,14 @@ def _estimated_camera(
 
 def _detector(request: VideoRequest, settings: RunSettings, given: Given | None) -> FrameDetector:
     """What looks at the frames."""
-    whole = given is not None and given.complete
+    whole, classes = given is not None and given.complete, settings.classes
+    looks = given is None or classes is ClassSource.DETECTED
     return FrameDetector(
         settings.prior.category,
-        vehicle_detector=NanodetVehicleDetector(device=request.device) if given is None else None,
+        vehicle_detector=NanodetVehicleDetector(device=request.device) if looks else None,
         keypoint_detector=None if whole else KeypointCascade(request.weights, device=request.device),
         given=None if given is None else given.vehicles,
+        classes=classes,
     )
 
 

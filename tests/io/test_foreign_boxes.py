@@ -136,6 +136,27 @@ def test_nuscenes(tmp_path):
     assert height == pytest.approx(722.25 * 1.5 / near, rel=0.1)
 
 
+def test_nuscenes_lorries_are_taken_with_the_others(tmp_path):
+    folder, image = labelled(tmp_path), "n015-2018__CAM_FRONT__15"
+    assert boxes_in(folder, image).other_vehicles == {"truck": 1}
+    car, lorry = boxes_in(folder, image, all_classes=True).cars
+    assert [(one.kind, *one.vehicle_class.probabilities) for one in (car, lorry)] == [
+        ("car", "vehicle.car"),
+        ("truck", "vehicle.truck"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("kind", "scheme", "name"), [("Truck", "kitti", "truck"), ("truck", "coco", "truck"), ("van", "fgrecon", "van")]
+)
+def test_a_word_is_a_class_by_the_scheme_that_has_it(tmp_path, kind, scheme, name):
+    path = write(tmp_path / "a.csv", f"image,class,x1,y1,x2,y2\na,{kind},1,2,30,40\na,Pedestrian,1,2,30,40\n")
+    assert boxes_in(path, "a").classes == {kind: 1, "Pedestrian": 1}
+    found = boxes_in(path, "a", all_classes=True)
+    assert [(one.vehicle_class.scheme, *one.vehicle_class.probabilities) for one in found.cars] == [(scheme, name)]
+    assert found.classes == {"Pedestrian": 1}
+
+
 def test_a_car_that_reaches_the_near_plane_has_no_box_and_is_counted(tmp_path):
     folder = labelled(tmp_path)
     labels = json.loads((folder / "sample_annotation.json").read_text())

@@ -5,8 +5,9 @@ import pytest
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import box_overlaps
 from fgrecon.io.kitti_drives import read_drive
-from fgrecon.video.association import AssociationSettings, Candidate, GatedAssociation, ground_contact, overlaps
+from fgrecon.video.association import AssociationSettings, Candidate, GatedAssociation, ground_contact
 
 CAMERA = Camera(np.array([[720.0, 0, 620], [0, 720.0, 180], [0, 0, 1]]), image_size=(1242, 375))
 GROUND = Ground.level(1.65)
@@ -45,7 +46,7 @@ def test_a_car_that_is_hidden_for_a_while_is_reborn():
     scenes = []
     for t in np.arange(0.0, 4.0, 0.1):
         near, far = (seen_at(p) for p in crossing(t))
-        hidden = overlaps(near.box[None], far.box[None])[0, 0] > 0.05
+        hidden = box_overlaps(near.box[None], far.box[None])[0, 0] > 0.05
         scenes.append((t, [near] if hidden else [near, far]))
     found = follow(scenes, association)
     assert sum(len(ids) == 1 for ids in found) > 5
@@ -71,7 +72,7 @@ def test_boxes_that_overlap_are_told_apart_by_where_they_stand():
     """A near car comes into the line of sight in the very frame in which the far one is not detected."""
     far, near = np.array([0.0, 1.65, 30.0]), np.array([0.3, 1.65, 18.0])
     boxes = box_of(far), box_of(near)
-    assert overlaps(boxes[0][None], boxes[1][None])[0, 0] > 0.3
+    assert box_overlaps(boxes[0][None], boxes[1][None])[0, 0] > 0.3
     assert follow([(0.0, [seen_at(far)]), (0.1, [seen_at(near)])]) == [[0], [1]]
     alone = [(0.0, [Candidate(boxes[0])]), (0.1, [Candidate(boxes[1])])]
     assert follow(alone) == [[0], [0]]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.images import write_png
 from fgrecon.video import open_frames, read_given
@@ -38,6 +39,14 @@ def test_kittis_labels_are_boxes(tmp_path):
     assert known.box.tolist() == [20.0, 30.0, 110.0, 80.0]
     assert (given.cuboids, given.complete, given.largest_id) == (True, False, 7)
     assert given.ends == {7: 2}
+    path.write_text(path.read_text() + f"2 8 {CAR.replace('Car', 'Truck')}\n2 9 {CAR.replace('Car', 'Person')}\n")
+    assert read_given(path, CAR14).left_out == {"Truck": 1, "Person": 1}
+    every = read_given(path, CAR14, all_classes=True)
+    assert [(s.kind, *s.vehicle_class.probabilities) for s in every.vehicles[2]] == [
+        ("Car", "car"),
+        ("Van", "van"),
+        ("Truck", "truck"),
+    ]
     forgotten = read_given(path, CAR14, forget_ids=True)
     assert forgotten.ends == {}
     assert [s.identity for s in forgotten.vehicles[2]] == [None, None]
@@ -177,10 +186,11 @@ def test_records_are_stored_with_every_bit():
     rng = np.random.default_rng(1)
     (seen,) = (car[0] for car in simulated(1, seeds=(3,)))
     motion = CameraMotion(rng.normal(size=(4, 4)), rng.normal(size=(6, 6)), 77)
-    sightings = Sighting(seen.box, 0.1, 5, seen, "Van"), Sighting(np.arange(4.0), 1.0, None, None)
+    known = VehicleClass({"car": 1.0 / 3.0, "van": 0.2}, "coco")
+    sightings = Sighting(seen.box, 0.1, 5, seen, "Van", known), Sighting(np.arange(4.0), 1.0, None, None)
     record = FrameRecord(3, 0.1 + 0.2, "3.png", None, sightings, motion)
-    (row,) = to_table(record).cast(record_schema()).to_pylist()
-    back = from_row(row)
+    (stored,) = to_table(record).cast(record_schema()).to_pylist()
+    back = from_row(stored)
     assert (back.number, back.time, back.name, back.problem) == (3, 0.1 + 0.2, "3.png", None)
     (row,) = motion_to_table(record).cast(motion_schema()).to_pylist()
     moved = motion_from_row(row)
@@ -190,12 +200,15 @@ def test_records_are_stored_with_every_bit():
     first, second = back.sightings
     assert (first.box == sightings[0].box).all()
     assert (first.identity, second.identity, second.observation) == (5, None, None)
-    assert (first.kind, second.kind) == ("Van", None)
+    assert (first.kind, second.kind, second.vehicle_class) == ("Van", None, None)
+    assert (first.vehicle_class.scheme, first.vehicle_class.probabilities) == (known.scheme, known.probabilities)
+    older = [{name: value for name, value in one.items() if name != "classes"} for one in stored["sightings"]]
+    assert [one.vehicle_class for one in from_row({**stored, "sightings": older}).sightings] == [None, None]
     for name in ("keypoints", "confidence", "covariance", "azimuth", "confidence_midpoint"):
-        stored, given = getattr(first.observation, name), getattr(seen, name)
-        assert (stored is None) == (given is None)
+        kept, given = getattr(first.observation, name), getattr(seen, name)
+        assert (kept is None) == (given is None)
         if given is not None:
-            assert np.array_equal(stored, given, equal_nan=True)
+            assert np.array_equal(kept, given, equal_nan=True)
     gap = FrameRecord(4, 0.5, "4.png", "torn")
     (row,) = to_table(gap).to_pylist()
     assert from_row(row).problem == "torn"
