@@ -14,6 +14,7 @@ KERNELS = (
     "factors/_energy.pyx",
     "factors/_shape.pyx",
     "fgrecon/solve/_native.pyx",
+    "fgrecon/video/_egomotion.pyx",
 )
 
 

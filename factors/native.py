@@ -1,7 +1,7 @@
 """The compiled kernels, where they are there and not switched off.
 
-The modules `factors._energy`, `factors._shape` and `fgrecon.solve._native` are built when the package is installed, if
-there is a C compiler. Without them, or with the environment variable ``FGRECON_KERNEL`` set to
+The modules `factors._*`, `fgrecon.solve._native` and `fgrecon.video._egomotion` are built when the package is
+installed, if there is a C compiler. Without them, or with the environment variable ``FGRECON_KERNEL`` set to
 ``numpy``, the numpy versions of the same functions do the work: the same results, several times slower.
 """
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.native import native
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import exponential
 
@@ -50,6 +51,8 @@ class EgomotionSettings:
     min_points: int = 20
     min_road_points: int = 8
     max_iterations: int = 25
+    least_iterations: int = 5
+    smallest_step: float = 1e-6  # radians and metres, after which no other follows
     max_features: int = 300  # off the road, and as many on it
     least_quality: float = 0.01  # of a point off the road, of the best one's: how much of a corner it is
     least_road_quality: float = 0.005
@@ -310,6 +313,14 @@ class _Problem:
         turn, shift = current_T_previous[:3, :3].copy(), current_T_previous[:3, 3].copy()
         plane, depth = np.zeros(3), self.depth.copy()
         trust = self.road.astype(np.float64)  # that a point is the road's
+        if (kernel := native("fgrecon.video._egomotion")) is not None:
+            weight, hessian = np.empty_like(depth), np.empty((9, 9))
+            state = turn, shift, plane, depth, trust, weight, hessian
+            standing = SETTINGS.standing_information_per_m2 if still else 0.0
+            limits = SETTINGS.max_iterations, SETTINGS.least_iterations, SETTINGS.smallest_step
+            if not kernel.Points(self, SETTINGS).iterate(*state, standing, *limits):
+                return None
+            return self._end(turn, shift, self._cost(depth, plane, weight, trust), weight, trust, hessian)
         for iteration in range(SETTINGS.max_iterations):
             there = self.before @ turn.T + depth[:, None] * shift
             if (there[:, 2] < 0.05).mean() > 0.2:
@@ -330,11 +341,10 @@ class _Problem:
             rotation = exponential(step[:3])
             turn, shift = rotation @ turn, rotation @ shift + step[3:6]
             trust = self.road / (1.0 + (self._off_road(depth, plane) / SETTINGS.inlier_sigmas) ** 2) ** 2
-            if iteration > 5 and np.abs(step[:6]).max() < 1e-6:
+            if iteration > SETTINGS.least_iterations and np.abs(step[:6]).max() < SETTINGS.smallest_step:
                 break
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn, shift
-        return self._end(pose, self._cost(depth, plane, rows.weight, trust), rows.weight, trust, hessian)
+        cost = self._cost(depth, plane, rows.weight, trust)
+        return self._end(turn, shift, cost, rows.weight, trust, hessian)
 
     def _linearised(self, there: Array, shift: Array, depth: Array, plane: Array, trust: Array) -> _Rows:
         """Whitened rows of each point: two of its reprojection, one of its inverse depth."""
@@ -369,8 +379,9 @@ class _Problem:
         return float(cost + 0.5 * float(self.prior @ plane**2))
 
     @staticmethod
-    def _end(pose: Array, cost: float, weight: Array, trust: Array, hessian: Array) -> _End | None:
-        shift = pose[:3, 3]
+    def _end(turn: Array, shift: Array, cost: float, weight: Array, trust: Array, hessian: Array) -> _End | None:
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn, shift
         if not np.isfinite(hessian).all() or not np.isfinite(shift).all():
             return None
         try:

@@ -4,11 +4,12 @@ import gtsam
 import numpy as np
 import pytest
 
+from factors.native import native
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import exponential
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import read_drive
-from fgrecon.video.egomotion import CameraMotion, camera_motion, motion_of_points, tracked_points
+from fgrecon.video.egomotion import CameraMotion, _Problem, camera_motion, motion_of_points, tracked_points
 from tests.video.streets import rendered
 
 CAMERA = Camera(np.array([[720.0, 0, 620], [0, 720.0, 180], [0, 0, 1]]), image_size=(1242, 375))
@@ -159,3 +160,31 @@ def test_kittis_parked_cars_stand_still(data):
     scatter = [np.linalg.norm((p - np.median(p, axis=0))[:, [0, 2]], axis=1).mean() for p in tracks]
     assert np.median(scatter) < 0.5
     assert max(np.ptp(p[:, 0]) for p in tracks) < 0.5
+
+
+@pytest.mark.skipif(native("fgrecon.video._egomotion") is None, reason="no compiled kernel")
+@pytest.mark.parametrize("length", [0.0, 0.8, 1.5])
+def test_the_kernel_does_what_numpy_does(monkeypatch, length):
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        motion = motion_of(rng, length)
+        points = street(rng, motion, wrong=0.2)
+        guess = motion if seed % 2 else None
+        found = motion_of_points(*points, CAMERA, GROUND, guess)
+        monkeypatch.setenv("FGRECON_KERNEL", "numpy")
+        plain = motion_of_points(*points, CAMERA, GROUND, guess)
+        monkeypatch.delenv("FGRECON_KERNEL")
+        np.testing.assert_allclose(found.previous_T_current, plain.previous_T_current, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.covariance, plain.covariance, rtol=1e-6, atol=1e-15)
+        assert found.points == plain.points
+
+
+@pytest.mark.parametrize("kernel", ["", "numpy"])
+def test_points_behind_the_camera_are_no_motion(monkeypatch, kernel):
+    monkeypatch.setenv("FGRECON_KERNEL", kernel)
+    rng = np.random.default_rng(0)
+    before, after = street(rng, np.eye(4), wrong=0.0)
+    problem = _Problem.of(before, after, CAMERA, GROUND)
+    backwards = np.eye(4)
+    backwards[2, 3] = -1e3
+    assert problem.solve(backwards) is None

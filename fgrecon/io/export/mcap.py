@@ -46,7 +46,7 @@ _CAR = "car"
 _CUBE, _LINES, _TEXT, _DELETE_ALL = 1, 5, 9, 3  # of `visualization_msgs/Marker`
 _COLOUR = {**dict(zip("rgb", (value / 255 for value in SURFACE), strict=True)), "a": 1.0}
 _FAINT = _COLOUR | {"a": 0.3}
-_STILL = {"position": plain_vector([0, 0, 0]), "orientation": plain_quaternion(np.eye(3))}
+_STILL = {"position": plain_vector([0, 0, 0]), "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
 
 Array = NDArray[np.float64]
 
