@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import transform
+from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, KeypointOptions, Options, ShapeOptions
@@ -169,6 +170,7 @@ def _sqpnp(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Arra
     return [(pose, prior.mean)]
 
 
+@summed_up()  # what an evaluation solves is measured, not doubted
 def _stages(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Array, Array]]:
     marked = np.isfinite(car.keypoints[:, 0]).astype(np.float64)
 
