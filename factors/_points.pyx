@@ -334,6 +334,18 @@ cdef class Points:
                 self.row(i, patch[i], R, local, &shared[0], 1.0 / sigma[i], &J[i, 0])
         return found, derivative if want else None
 
+    def assess(self, const double[::1] right, const double[::1] wrong, const double[::1] distances):
+        """Weights (M,) of points by their densities (M,) and whitened distances (M,), and their energy, nats."""
+        cdef int i
+        cdef double inlier, energy = 0.0
+        weights = np.empty(self.count)
+        cdef double[::1] w = weights
+        for i in range(self.count):
+            inlier = right[i] * exp(-0.5 * distances[i] * distances[i])
+            w[i] = inlier / (inlier + wrong[i])
+            energy += log((self.vehicle + (1.0 - self.vehicle) * self.peak(i)) / (inlier + wrong[i]))
+        return weights, self.share * energy
+
     cdef void row(
         self, int i, int k, const double *R, const double *local, const double *shared, double factor, double *J
     ) noexcept nogil:

@@ -276,6 +276,9 @@ class PointRows:
 
     def assess(self, match: Match, distances: Array) -> tuple[Array, float]:
         """Weights (M,) of the points, and their energy, nats."""
+        if self.compiled is not None:
+            assessed: tuple[Array, float] = self.compiled.assess(match.right, match.wrong, distances)
+            return assessed
         weights, losses = mixture(match.right, match.wrong, np.square(distances))
         off = np.log(self.odds.vehicle + (1.0 - self.odds.vehicle) * self._peak) - np.log(match.right + match.wrong)
         outliers = match.right <= 0.0  # of which the mixture says nothing
@@ -378,9 +381,11 @@ NEARER, NEAREST = 1.5, 0.05
 
 def _alike(one: State, other: State, near: float) -> bool:
     """Whether two poses and shapes differ by so little that points keep their patches."""
-    changes = (float(np.abs(a - b).max(initial=0.0)) for a, b in zip(one, other, strict=True))
-    turn, shift, change, shared = changes
-    return max(turn, shift, 0.1 * change, shared) < near
+    for a, b, times in zip(one, other, (1.0, 1.0, 0.1, 1.0), strict=True):
+        change = (a - b).ravel()
+        if times**2 * np.vdot(change, change) >= near**2:
+            return False
+    return True
 
 
 def _crossing(sensor: Array, ray: Array, middle: Array, half: Array) -> tuple[Array, Array]:

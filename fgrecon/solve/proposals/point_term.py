@@ -33,6 +33,10 @@ POINTS_NAME, DEPTH_NAME = "points", "depth"
 """Names of the terms, by what measured their points."""
 
 
+_CELLS = 2**21
+"""More than there are cells along an axis."""
+
+
 @dataclass(frozen=True)
 class PointTerm:
     """Points on the vehicle's surface, or on anything else."""
@@ -82,7 +86,7 @@ def point_terms(observation: Observation, camera: Camera, model: VehicleModel) -
     if given:
         points, sigma, origin = [], [], np.asarray(given[0].origin, dtype=np.float64)
         for one in given:
-            index = _about(one.points, box, camera)
+            index = _about(one, box, camera)
             points.append(one.points[index])
             sigma.append(np.broadcast_to(np.asarray(one.sigma), (len(one.points),))[index])
         kept, noise = np.concatenate(points), np.concatenate(sigma)
@@ -155,19 +159,28 @@ def patches_of(prior: ShapePrior) -> SurfacePatches:
     return SurfacePatches.of(prior.surface.mean, prior.surface.basis, prior.surface.faces)
 
 
-def _about(points: Array, box: Array, camera: Camera) -> NDArray[np.intp]:
-    """Indices of the points (N, 3) about where the vehicle in a 2D box must be, thinned to one a cell."""
+def _about(given: Points, box: Array, camera: Camera) -> NDArray[np.intp]:
+    """Indices of the points about where the vehicle in a 2D box must be, thinned to one a cell."""
     size = box[2:] - box[:2]
     margin = POINTS.frustum_margin * float(size.max())
     nearest, farthest = _depths(box, camera)
-    index = np.flatnonzero((points[:, 2] > max(nearest, MIN_DEPTH)) & (points[:, 2] < farthest))
-    homogeneous = points[index] @ camera.matrix.T
-    pixels = homogeneous[:, :2] / homogeneous[:, 2:]
-    inside = np.all((pixels > box[:2] - margin) & (pixels < box[2:] + margin), axis=1)
-    index = index[inside]
-    cells = np.floor(points[index] / POINTS.cell_m).astype(np.int64)
-    _, first = np.unique(cells, axis=0, return_index=True)
+    column, row, depth, cell = _placed(given, camera.matrix.tobytes())
+    index = np.flatnonzero((column > box[0] - margin) & (column < box[2] + margin) & (depth < farthest))
+    index = index[(row[index] > box[1] - margin) & (row[index] < box[3] + margin)]
+    index = index[depth[index] > max(nearest, MIN_DEPTH)]
+    _, first = np.unique(cell[index], return_index=True)
     return index[np.sort(first)]
+
+
+@lru_cache(maxsize=4)  # all vehicles of an image ask for the same
+def _placed(given: Points, intrinsics: bytes) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    """(N,) columns and rows of the pixels, depths, and the cells that points are in, as one number."""
+    points = given.points
+    homogeneous = points @ np.frombuffer(intrinsics).reshape(3, 3).T
+    depth = np.where(points[:, 2] > MIN_DEPTH, points[:, 2], np.nan)  # nan is in no box
+    column, row = homogeneous[:, 0] / depth, homogeneous[:, 1] / depth
+    cells = np.floor(points / POINTS.cell_m).astype(np.int64)
+    return column, row, depth, (cells[:, 0] * _CELLS + cells[:, 1]) * _CELLS + cells[:, 2]
 
 
 def _depths(box: Array, camera: Camera) -> tuple[float, float]:
