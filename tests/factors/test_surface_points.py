@@ -169,6 +169,9 @@ def test_the_compiled_rows_are_those_of_numpy(kind: PointRows) -> None:
         (off, by), (other_off, other_by) = (one.distances(match, *state, want=True) for one in (rows, plain))
         assert off == pytest.approx(other_off, abs=1e-9)
         assert by == pytest.approx(other_by, rel=1e-9, abs=1e-9)
+        (weights, energy), (other_weights, other_energy) = rows.assess(match, off), plain.assess(other, other_off)
+        assert weights == pytest.approx(other_weights, abs=1e-9)
+        assert energy == pytest.approx(other_energy, rel=1e-9)
 
 
 def test_points_bring_a_vehicle_to_its_place_and_size(rows: PointRows) -> None:
