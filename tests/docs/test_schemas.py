@@ -1,6 +1,7 @@
 """The JSON schemas of docs/schemas hold for what the commands read and write, and for the examples of the pages."""
 
 import json
+import runpy
 
 import pytest
 from jsonschema import Draft202012Validator
@@ -43,6 +44,13 @@ def example(tmp_path):
 @pytest.mark.parametrize("path", SCHEMAS.values(), ids=lambda path: path.name)
 def test_it_is_a_schema(path):
     Draft202012Validator.check_schema(json.loads(path.read_text(encoding="utf-8")))
+
+
+def test_the_tables_of_fields_are_what_the_script_makes():
+    made = runpy.run_path(str(REPOSITORY / "docs/fields.py"))
+    for name in made["TABLES"]:
+        page = REPOSITORY / f"docs/reference/fields/{name}.md"
+        assert page.read_text(encoding="utf-8") == made["table"](name), "run `python docs/fields.py`"
 
 
 def test_the_example_of_the_page(example):
