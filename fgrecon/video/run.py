@@ -46,7 +46,7 @@ from fgrecon.video.records import (
     record_schema,
     to_table,
 )
-from fgrecon.video.stages import made_ahead, short_turns
+from fgrecon.video.stages import made_ahead, rare_collections, short_turns
 
 __all__ = ["MOTIONS", "RECORDS", "VideoRun", "run_video"]
 
@@ -175,7 +175,7 @@ def run_video(
         check_coverage(planned_frames(source) or (), *given)
     begin(out / RECORDS, settings, FORMAT)
     run = VideoRun(source.count, frames=FrameStore(folder=out))
-    with claimed(out / RECORDS), short_turns(ahead):
+    with claimed(out / RECORDS), short_turns(ahead), rare_collections():
         looked = _Records(source, out, look, motion, settings, ahead)
         run.before = len(looked.stored)
         try:

@@ -8,6 +8,7 @@ order, so that results are those of one stage after the other.
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
@@ -29,10 +30,12 @@ class StageSettings:
             OpenCV and of a network's runtime: Python's own 5 ms let these stages wait for most of the time. Chosen on
             drive 0095 of KITTI.
         look_again_s: After which a stage that is to end is looked at again.
+        collect_every: By how much less often Python's collector of cycles runs: all stages wait for it.
     """
 
     turn_s: float = 0.0005
     look_again_s: float = 0.02
+    collect_every: int = 10
 
 
 SETTINGS = StageSettings()
@@ -110,3 +113,21 @@ def short_turns(most: int) -> Iterator[None]:
         yield
     finally:
         sys.setswitchinterval(before)
+
+
+@contextmanager
+def rare_collections() -> Iterator[None]:
+    """Let Python's collector of cycles run less often, and not look at what there is already.
+
+    What others have frozen stays so, and then what there is is looked at.
+    """
+    before, frozen = gc.get_threshold(), gc.get_freeze_count()
+    if not frozen:
+        gc.freeze()
+    gc.set_threshold(before[0] * SETTINGS.collect_every, *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+        if not frozen:
+            gc.unfreeze()

@@ -58,6 +58,7 @@ from fgrecon.video.records import FrameRecord
 from fgrecon.video.rows import frame_lines, rows_of, tracking_text
 from fgrecon.video.run import VideoRun, run_video
 from fgrecon.video.single_image_tracker import SingleImageTracker
+from fgrecon.video.stages import rare_collections
 
 Warn = Callable[[str], None]
 """Called with each warning."""
@@ -391,7 +392,8 @@ def track_video(
         )
     if not (request.online or request.alone):
         smoothing(run)
-        run.smooth(follower)
+        with rare_collections():
+            run.smooth(follower)
     if isinstance(tracker, Tracker) and (off := tracker.boxes_off()) is not None:
         warn(boxes_warning(off))
     for line in run.warnings + _keypoint_warnings(job, run):

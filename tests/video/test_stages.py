@@ -1,5 +1,6 @@
 """Stages side by side: order, errors, and that nothing is left of them."""
 
+import gc
 import sys
 import threading
 import time
@@ -8,7 +9,7 @@ from contextvars import ContextVar
 
 import pytest
 
-from fgrecon.video.stages import made_ahead, short_turns
+from fgrecon.video.stages import made_ahead, rare_collections, short_turns
 
 
 def numbers(count, made):
@@ -70,3 +71,18 @@ def test_turns_are_short_within_and_as_before_afterwards():
     with short_turns(0):
         assert sys.getswitchinterval() == before
     assert sys.getswitchinterval() == before
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_collections_are_rare_inside_and_as_before_afterwards(frozen):
+    before = gc.get_threshold()
+    if frozen:
+        gc.freeze()
+    count = gc.get_freeze_count()
+    try:
+        with rare_collections():
+            assert gc.get_threshold()[0] > before[0]
+            assert gc.get_freeze_count() > 0
+        assert (gc.get_threshold(), gc.get_freeze_count()) == (before, count)
+    finally:
+        gc.unfreeze()
