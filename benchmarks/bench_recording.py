@@ -21,7 +21,7 @@ import fgrecon
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate_track
 from fgrecon.solve.track import reconstruct_track
 from fgrecon.viz import Recording, SolvedVehicle, TrackInputs, recording_of, track_recording_of
-from fgrecon.viz.delivery import deliver
+from fgrecon.viz.sinks import deliver
 from fgrecon_research.simulation import simulate_many
 
 CARS, FRAMES, ROUNDS = 30, 15, 3

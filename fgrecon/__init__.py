@@ -29,7 +29,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.depth_map import DepthCalibration, DepthMap
     from fgrecon.core.detection import Detection
     from fgrecon.core.detector_calibration import DetectorCalibration
-    from fgrecon.core.evidence import Points, Range, RangeRate
+    from fgrecon.core.evidence import Points, Range, RangeRate, StereoPair
     from fgrecon.core.mask import Mask
     from fgrecon.core.observation import Observation
     from fgrecon.core.options import BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
@@ -40,7 +40,6 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.scene_reconstruction import SceneReconstruction
     from fgrecon.core.shape_prior import ShapePrior, Surface
     from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
-    from fgrecon.core.stereo_pair import StereoPair
     from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
     from fgrecon.core.vehicle_class import VehicleClass
     from fgrecon.core.vehicle_estimate import VehicleEstimate

@@ -4,19 +4,41 @@ from __future__ import annotations
 
 import json
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from fgrecon.app.drawn_boxes import instances_in_boxes
 from fgrecon.app.limits import Limits
 from fgrecon.app.picture_editor import BOXES, Editor
-from fgrecon.app.requested import PageRequested
-from fgrecon.app.solving import Uploaded
+from fgrecon.app.requested import PageRequested, Requested
+from fgrecon.app.solving import Uploaded, without_folder
 from fgrecon.app.upload_kinds import Kind, kind_of, safe_name
-from fgrecon.app.view import PageView, view_of
+from fgrecon.app.view import PageView, instance_of, view_of
 from fgrecon.app.workers import Workers
+from fgrecon.batch.vehicle_tasks import KeypointRequest, image_tasks
 from fgrecon.core.errors import FgreconError
+from fgrecon.io.cameras.camera_source import CameraSource
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.images import read_image
+from fgrecon.perception.boxes import GivenBoxes
+
+
+def instances_in_boxes(
+    folder: Path, photograph: str, boxes: Sequence[Sequence[float]], requested: Requested
+) -> list[dict[str, Any]]:
+    """A vehicle in each box x1, y1, x2, y2 of a photograph, as a keypoint file has it.
+
+    Raises:
+        InvalidInputError: The photograph or a box cannot be used.
+    """
+    path = folder / photograph
+    with without_folder(folder):
+        how = KeypointRequest(load_prior(requested.prior or "car14").category)
+        pixels = read_image(path)
+        tasks = image_tasks(path, CameraSource(image=pixels), GivenBoxes(boxes).of_image(path, pixels).cars, how)
+        return [instance_of(task.instance) for task in tasks]
+
 
 Made = dict[str, dict[str, bytes | Path]]
 """What was made for each visitor, by a secret and a name: content, or where a file is."""

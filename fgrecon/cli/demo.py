@@ -44,7 +44,7 @@ def demo_command(
     from fgrecon.solve.pipeline import reconstruct
     from fgrecon.viz import SolvedVehicle, animate, picture, recording_of, save_picture
     from fgrecon.viz.animation import check_format
-    from fgrecon.viz.delivery import check_delivery, deliver
+    from fgrecon.viz.sinks import check_delivery, deliver
 
     check_delivery(None, viewer.connect)
     check_outputs(json_out, animation)

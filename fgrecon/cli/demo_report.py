@@ -22,7 +22,7 @@ from fgrecon.simulation.sample import GROUND, SampleStreet, sample_street
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.viz import DrawnVehicle, Truth, scene_picture
 from fgrecon.viz.describe import describe_bounds
-from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
+from fgrecon.viz.subjects import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
 
 FORMAT = "fgrecon.demo/1"
 
@@ -36,7 +36,7 @@ class Stage:
     title: str  # name of the stage
     camera_T_object: NDArray[np.float64]  # (4, 4) pose
     box_size: NDArray[np.float64]  # (3,) length, width and height, metres
-    errors: dict[str, float]  # distances from the truth, by the names of `fgrecon.viz.truth`
+    errors: dict[str, float]  # distances from the truth, by the names of `fgrecon.viz.subjects`
 
 
 def true_values(scene: DemoScene) -> Truth:

@@ -553,12 +553,12 @@ class Delivery(Viewer):
 
     def check(self) -> None:
         """Refuse before the work what could not be delivered after it (`InvalidInputError`)."""
-        from fgrecon.viz.delivery import check_delivery
+        from fgrecon.viz.sinks import check_delivery
 
         check_delivery(self.save, self.connect)
 
     def deliver(self, recordings: Sequence[tuple[str, Recording]], screen: Screen, *, several: bool) -> None:
         """Write and send recordings, and say which files were written."""
-        from fgrecon.viz.delivery import deliver
+        from fgrecon.viz.sinks import deliver
 
         screen.wrote(*deliver(recordings, self.save, self.connect, spawn=self.spawn, several=several))

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_either, as_instance
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.history import Alternative, GraphFactor, Iteration
-from fgrecon.core.lazy_fields import LazyFields
+from fgrecon.core.history import Alternative, GraphFactor, Iteration, LazyFields
 from fgrecon.core.observation import Observation
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
 from fgrecon.core.repr import brief_repr

@@ -13,17 +13,15 @@ from numpy.typing import NDArray
 from fgrecon.core.choices import DepthScale
 from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.evidence import Evidence, Points
-from fgrecon.core.stereo_pair import StereoPair
+from fgrecon.core.evidence import Evidence, Points, StereoPair
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, calibration_beside, read_calibration
 from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes, sweep_of
 from fgrecon.io.sensors.clouds import CLOUDS
 from fgrecon.io.sensors.depth_files import DEPTHS, read_depth
-from fgrecon.io.sensors.lidar_place import Place, lidar_place
 from fgrecon.io.sensors.mask_files import MASKS, read_masks
-from fgrecon.io.sensors.points import read_points
+from fgrecon.io.sensors.points import Place, lidar_place, read_points
 from fgrecon.io.sensors.sensor_files import SensorFiles
 from fgrecon.perception.stereo import stereo_depth
 

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.evidence import Evidence, as_evidence
-from fgrecon.core.stereo_pair import StereoPair
+from fgrecon.core.evidence import Evidence, StereoPair, as_evidence
 from fgrecon.perception.keypoints.detect import as_rgb8
 
 Array = NDArray[np.float64]

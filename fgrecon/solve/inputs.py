@@ -18,7 +18,7 @@ from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_instance, as_list, as_rigid, as_shape
 from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.evidence import Evidence, Points, Range, RangeRate, as_evidence
+from fgrecon.core.evidence import Evidence, Points, Range, RangeRate, StereoPair, as_evidence
 from fgrecon.core.input_warnings import InputWarning, input_warning_of, strays
 from fgrecon.core.mask import Mask, of_vehicle
 from fgrecon.core.observation import KeypointsLike, Observation
@@ -26,7 +26,6 @@ from fgrecon.core.options import Options, checked_options
 from fgrecon.core.point_frames import check_points
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import CLASSES, SizePrior, SizesLike, check_order, other_fleets, size_prior
-from fgrecon.core.stereo_pair import StereoPair
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior, shipped_class_sizes, shipped_cuboid
 from fgrecon.io.image_size import scale_between

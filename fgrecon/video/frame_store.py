@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.lazy_fields import LazyFields
+from fgrecon.core.history import LazyFields
 from fgrecon.core.result_fields import Status
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.vehicle_estimate import VehicleEstimate

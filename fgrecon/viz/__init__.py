@@ -20,8 +20,7 @@ from fgrecon.viz.animation import animate
 from fgrecon.viz.picture import as_rgb, contact_sheet, picture, save_picture
 from fgrecon.viz.scene_picture import scene_picture
 from fgrecon.viz.sinks import Recording
-from fgrecon.viz.subjects import DrawnVehicle, Photograph, SolvedVehicle, TrackInputs
-from fgrecon.viz.truth import Truth
+from fgrecon.viz.subjects import DrawnVehicle, Photograph, SolvedVehicle, TrackInputs, Truth
 
 if TYPE_CHECKING:  # imported when used, since they import rerun
     from fgrecon.viz.recording import recording_of

@@ -20,8 +20,7 @@ from fgrecon.viz.describe import describe_errors, total_energy
 from fgrecon.viz.geometry import BOX_EDGES, crop_around, image_points, outline_corners
 from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, draw_grid, draw_keypoints, draw_true_box, unit
 from fgrecon.viz.picture import as_rgb, new_figure, place_axes
-from fgrecon.viz.subjects import SolvedVehicle
-from fgrecon.viz.truth import Truth
+from fgrecon.viz.subjects import SolvedVehicle, Truth
 
 FORMATS = ("gif", "mp4")
 """File types that `animate` writes, by the ending of the name."""

@@ -15,8 +15,7 @@ from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz import entities, style
 from fgrecon.viz.factor_graph import Layout, lay_out
 from fgrecon.viz.geometry import Box, crop_around, image_points
-from fgrecon.viz.subjects import Member, SolvedVehicle, TrackInputs
-from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
+from fgrecon.viz.subjects import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Member, SolvedVehicle, TrackInputs
 
 _ASPECT = 1.6
 _STEPS_PER_SECOND = 8.0

@@ -13,8 +13,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import TRUSTED, Iteration, Reconstruction
 from fgrecon.core.text import markdown_row
 from fgrecon.core.track_reconstruction import TrackReconstruction
-from fgrecon.viz.subjects import SolvedVehicle
-from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
+from fgrecon.viz.subjects import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, SolvedVehicle, Truth
 
 LEVEL = 0.95
 """Probability with which the true values are within the bounds and regions that are shown."""

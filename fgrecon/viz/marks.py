@@ -14,7 +14,7 @@ from fgrecon.core.reconstruction import TRUSTED
 from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Colour, Side
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, Box, box_path, image_points, outline_corners, resolution
-from fgrecon.viz.truth import Truth
+from fgrecon.viz.subjects import Truth
 
 _LINE = 1.6
 

@@ -16,10 +16,9 @@ from fgrecon.core.geometry import box_around
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.text import printable
 from fgrecon.viz.animation import animate
-from fgrecon.viz.delivery import recordings_of
 from fgrecon.viz.picture import contact_sheet, picture, save_picture
 from fgrecon.viz.scene_picture import scene_picture
-from fgrecon.viz.sinks import Recording
+from fgrecon.viz.sinks import Recording, recordings_of
 from fgrecon.viz.subjects import DrawnVehicle, SolvedVehicle, detection_words
 
 HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted")

@@ -25,8 +25,7 @@ from fgrecon.viz.describe import describe_bounds, describe_errors, median_residu
 from fgrecon.viz.geometry import Box, crop_around, image_points
 from fgrecon.viz.marks import draw_badge, draw_box, draw_crop, draw_edges, draw_keypoints, draw_true_box, unit
 from fgrecon.viz.solid import draw_from_above, draw_three_quarter
-from fgrecon.viz.subjects import SolvedVehicle
-from fgrecon.viz.truth import Truth
+from fgrecon.viz.subjects import SolvedVehicle, Truth
 
 FORMATS = ("png", "svg", "pdf", "jpg", "jpeg")
 """File types that `save_picture` writes, by the ending of the name."""

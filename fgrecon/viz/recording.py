@@ -34,8 +34,7 @@ from fgrecon.viz.geometry import (
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.plots import log_history, log_plots, log_words
 from fgrecon.viz.sinks import Recording
-from fgrecon.viz.subjects import Photograph, SolvedVehicle
-from fgrecon.viz.truth import Truth
+from fgrecon.viz.subjects import Photograph, SolvedVehicle, Truth
 
 _AXES = (3, 2, 5)  # right, down, forward in rerun's numbers
 _SURFACE_ALPHA = 150  # of 255: the wireframe shows through

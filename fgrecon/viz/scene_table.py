@@ -15,8 +15,7 @@ from fgrecon.viz import style
 from fgrecon.viz.describe import LEVEL, bounds_of, describe_bounds
 from fgrecon.viz.from_above import DASHES, FONT, START_DASHES, TRUE_DASHES
 from fgrecon.viz.marks import draw_points, unit
-from fgrecon.viz.subjects import DrawnScene, DrawnVehicle
-from fgrecon.viz.truth import ORIENTATION_ERROR, TRANSLATION_ERROR
+from fgrecon.viz.subjects import ORIENTATION_ERROR, TRANSLATION_ERROR, DrawnScene, DrawnVehicle
 
 _MINUS = str.maketrans("-", "−")
 _WORDS = 30  # characters of a model's name

@@ -18,7 +18,7 @@ from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, outline_corners
 from fgrecon.viz.marks import draw_edges, draw_grid, unit
 from fgrecon.viz.occlusion import shading
-from fgrecon.viz.truth import Truth
+from fgrecon.viz.subjects import Truth
 
 _OBLIQUE, _ELEVATION = np.radians(52.0), np.radians(18.0)
 _LIGHT = np.array([0.35, 0.55, 0.75])

@@ -10,11 +10,10 @@ import pytest
 
 from benchmarks.fuzz.mutate import mutated
 from benchmarks.fuzz.readers import READERS
-from fgrecon.app.drawn_boxes import instances_in_boxes
 from fgrecon.app.limits import LIMITS
 from fgrecon.app.requested import PageRequested
 from fgrecon.app.videos import track_upload
-from fgrecon.app.visit import Visit
+from fgrecon.app.visit import Visit, instances_in_boxes
 from fgrecon.app.workers import Workers
 from fgrecon.core.errors import FgreconError
 from tests.conftest import REPOSITORY

@@ -7,13 +7,13 @@ import shutil
 import numpy as np
 import pytest
 
-from fgrecon.app.drawn_boxes import instances_in_boxes
 from fgrecon.app.label_folder import LABELS, LabelFolder
 from fgrecon.app.labelling import Judgement, judge, labels_of
 from fgrecon.app.picture_editor import KEYPOINTS, Editor
 from fgrecon.app.requested import Requested
 from fgrecon.app.solving import Uploaded
 from fgrecon.app.view import view_of
+from fgrecon.app.visit import instances_in_boxes
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.coco_keypoints import read_coco_keypoints

@@ -179,7 +179,7 @@ def test_an_address_without_a_viewer_is_refused_before_solving(write, instance, 
 
 def test_spawn_starts_a_viewer_and_sends_there(write, instance, monkeypatch):
     sent = []
-    monkeypatch.setattr("fgrecon.viz.delivery.start_viewer", lambda: "127.0.0.1:1234")
+    monkeypatch.setattr("fgrecon.viz.sinks.start_viewer", lambda: "127.0.0.1:1234")
     monkeypatch.setattr("fgrecon.viz.sinks.Recording.send", lambda _, name, address: sent.append((name, address)))
     cars = {"instances": [{"id": "one", **instance}, {"id": "two", **instance}]}
     assert run("reconstruct", write(cars), INTRINSICS, "--spawn").exit_code == 0

@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from fgrecon.core.lazy_fields import LazyFields
+from fgrecon.core.history import LazyFields
 
 made = []
 

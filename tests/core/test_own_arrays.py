@@ -9,7 +9,7 @@ import fgrecon
 from fgrecon.core.checks import as_finite, as_shape, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
-from fgrecon.viz.truth import Truth
+from fgrecon.viz.subjects import Truth
 from tests.cars import CAMERA, observe, yaw_pose
 
 PRIOR = load_prior("car14")

@@ -6,8 +6,8 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import StereoPair
 from fgrecon.core.geometry import exponential
-from fgrecon.core.stereo_pair import StereoPair
 from fgrecon.perception.stereo import SETTINGS, stereo_depth
 
 WIDTH, HEIGHT, FOCAL, BASELINE = 320, 120, 300.0, 0.5

@@ -16,12 +16,11 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.box3d import box_corners
+from fgrecon.core.box3d import box_corners, box_outline
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import FORWARD_LEFT_UP, transform
 from fgrecon.core.metrics import wrap_angle
-from fgrecon.core.outline import box_outline
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.files import write_bytes
 from fgrecon.io.kitti_calibration import KittiCalibration

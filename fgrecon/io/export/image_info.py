@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.box3d import imaged, points_ahead
 from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import FORWARD_LEFT_UP, box_around, transform
-from fgrecon.core.outline import imaged, points_ahead
 from fgrecon.core.repr import brief_repr
 from fgrecon.io.bag import is_bag
 from fgrecon.io.datasets import is_data_set, open_sequence

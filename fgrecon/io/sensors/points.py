@@ -1,4 +1,4 @@
-"""Points of a LiDAR in the frame of a camera, from files of any format (`fgrecon.io.sensors.clouds`)."""
+"""Where a LiDAR is, and its points in the frame of a camera, from files of any format (`fgrecon.io.sensors.clouds`)."""
 
 from __future__ import annotations
 
@@ -10,8 +10,38 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.checks import as_path, as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
-from fgrecon.io.kitti_calibration import KittiCalibration
+from fgrecon.io.cameras.camera_source import CameraSource
+from fgrecon.io.kitti_calibration import KittiCalibration, calibration_beside, read_calibration
+from fgrecon.io.nuscenes import camera_T_lidar, is_nuscenes, open_nuscenes
+from fgrecon.io.poses import read_pose
 from fgrecon.io.sensors.clouds import PointFrame, read_cloud
+
+Place = NDArray[np.float64] | KittiCalibration
+"""A motion (4, 4) from the LiDAR's frame to the camera's, or a calibration that has it."""
+
+
+def lidar_place(cloud: Path, image: Path, camera: CameraSource, pose: Path | None = None) -> Place | None:
+    """Where the LiDAR of a scan is; None where nothing says.
+
+    Args:
+        cloud: The scan's file.
+        pose: A file with the motion from the LiDAR's frame to the camera's, as `read_pose` takes it; or None.
+
+    Raises:
+        InvalidInputError: A file is malformed.
+    """
+    if pose is not None:
+        return read_pose(pose)
+    if camera.calib is not None:
+        return read_calibration(camera.calib / f"{image.stem}.txt" if camera.calib.is_dir() else camera.calib)
+    if camera.file is not None:
+        path = Path(camera.file)
+        if is_nuscenes(path):
+            return camera_T_lidar(open_nuscenes(path), image.name, cloud.name)
+        if path.suffix == ".txt":
+            return read_calibration(path)
+    return calibration_beside(image)
+
 
 Array = NDArray[np.float64]
 

@@ -35,7 +35,7 @@ COMMANDS: Mapping[str, Mapping[str, str]] = {
         "build": "training.prior_build:build_command",
         "compare": "training.prior_build:compare_command",
         "learn": "training.prior_learn:learn_command",
-        "sizes": "training.class_sizes:sizes_command",
+        "sizes": "training.prior_build:sizes_command",
     },
     "vehicles": {"convert": "training.vehicles:convert_command"},
 }

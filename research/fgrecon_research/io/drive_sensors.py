@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.evidence import Points
-from fgrecon.core.stereo_pair import StereoPair
+from fgrecon.core.evidence import Points, StereoPair
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.kitti_drives import Drive, DriveFrame

@@ -22,8 +22,8 @@ from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.viz import SolvedVehicle, contact_sheet, save_picture
-from fgrecon.viz.delivery import recordings_of
-from fgrecon.viz.truth import Truth
+from fgrecon.viz.sinks import recordings_of
+from fgrecon.viz.subjects import Truth
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption, MarkdownOption, ResultsOption
 from fgrecon_research.evaluation import kitti_images
 from fgrecon_research.evaluation.boxes_summary import plain_boxes, tables

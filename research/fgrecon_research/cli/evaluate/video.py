@@ -21,7 +21,7 @@ from fgrecon.io.export.formats import TABLE_FORMATS, export_rows
 from fgrecon.io.files import check_ending, check_folder, write_text
 from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.viz import SolvedVehicle, contact_sheet, save_picture
-from fgrecon.viz.truth import Truth
+from fgrecon.viz.subjects import Truth
 from fgrecon_research.cli.evaluate.data_options import MarkdownOption, ResultsOption
 from fgrecon_research.cli.evaluate.followed_drives import score_drives
 from fgrecon_research.evaluation.methods import METHODS
@@ -30,9 +30,9 @@ from fgrecon_research.evaluation.video_summary import (
     facing_reliability,
     methods_of,
     summarise_groups,
+    tables,
     worst_boxes,
 )
-from fgrecon_research.evaluation.video_tables import tables
 from fgrecon_research.io.drive_sensors import Sensor
 
 _WORST = 20

@@ -1,4 +1,4 @@
-"""`fgrecon prior build`: the shipped shape priors, made again."""
+"""`fgrecon prior build` and `sizes`: the shipped shape priors and sizes of classes, made again."""
 
 from __future__ import annotations
 
@@ -10,19 +10,42 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from fgrecon.cli.options import PRIORS, JsonOption, PriorArgument
+from fgrecon.cli.options import PRIORS, DrivesArgument, JsonOption, PriorArgument
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Quiet, Terminal
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.catalogue import load_category, load_prior, save_prior
-from fgrecon.io.files import check_output
+from fgrecon.io.files import check_output, write_text
+from fgrecon_research.annotation.class_sizes import class_file
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
 from fgrecon_research.paper.apollocar3d import read_apollocar3d
 from fgrecon_research.training.priors import apollo79
 from fgrecon_research.training.priors.apollo79 import Apollo79, LeaveOneOut
 from fgrecon_research.training.priors.compare import PriorComparison, compare_priors
 from fgrecon_research.training.priors.marked_points import SCHEME, PosedMarks, located_points, marked_prior
+
+
+def sizes_command(
+    drives: DrivesArgument,
+    terminal: Terminal,
+    labels: Annotated[Path, typer.Option(metavar="FOLDER", help="Label files of KITTI's object set (label_2).")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The JSON file to write.")] = Path("kitti.json"),
+) -> None:
+    """Measure sizes of cars, vans, lorries and trams by KITTI's labels, and count what the vehicle detector calls them.
+
+    The drives are those with labels in which each vehicle is counted once. --verbose shows how often each
+    class is among all labels.
+    """
+    screen = terminal.screen()
+    check_output(out)
+    content = class_file(labels, drives)
+    for name, one in content["classes"].items():
+        length, width, height = one["mean"]
+        screen.print(f"{name}: {one['count']} labels, {length:.2f} x {width:.2f} x {height:.2f} m")
+        screen.detail(f"{name}: {100.0 * one['share']:.1f} % of all")
+    screen.wrote(write_text(out, json.dumps(content, indent=1) + "\n"))
+
 
 _LOCATED = "car14"
 _COUNTS = (0, 1, 2, 3, 5, 8, 10)

@@ -26,10 +26,9 @@ from fgrecon_research.training.keypoints.street_cars import (
     learning,
     prepare_street_cars,
 )
-from fgrecon_research.training.keypoints.tensors import load_tensors, mean_state
 from fgrecon_research.training.keypoints.train import Training
 from fgrecon_research.training.keypoints.train_refine import RefineTraining, train_refinement
-from fgrecon_research.training.keypoints.trainer import TrainingProgress
+from fgrecon_research.training.keypoints.trainer import TrainingProgress, load_tensors, mean_state
 from fgrecon_research.training.keypoints.views import TrainingSet
 
 

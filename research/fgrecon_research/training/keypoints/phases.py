@@ -25,8 +25,7 @@ from fgrecon_research.training.keypoints.networks import Beginning, Display, pho
 from fgrecon_research.training.keypoints.posed_cars import Progress
 from fgrecon_research.training.keypoints.settings import Phase, TrainingSettings
 from fgrecon_research.training.keypoints.street_cars import check_drives
-from fgrecon_research.training.keypoints.tensors import load_tensors
-from fgrecon_research.training.keypoints.trainer import TrainingProgress
+from fgrecon_research.training.keypoints.trainer import TrainingProgress, load_tensors
 
 Labeller = Callable[[Sequence[Path], Path, Path, Progress], None]
 """Labels the street cars of drives (folders) by a network, to a file (COCO), and shows how far it has come."""

@@ -32,9 +32,8 @@ from fgrecon_research.training.keypoints.labelling import (
 )
 from fgrecon_research.training.keypoints.posed_cars import Progress, no_progress
 from fgrecon_research.training.keypoints.street_cars import StreetShare, learning
-from fgrecon_research.training.keypoints.tensors import load_tensors
 from fgrecon_research.training.keypoints.train import HeldOut, Training, train_knet
-from fgrecon_research.training.keypoints.trainer import TrainingProgress, load_checkpoint
+from fgrecon_research.training.keypoints.trainer import TrainingProgress, load_checkpoint, load_tensors
 
 Array = NDArray[np.float64]
 

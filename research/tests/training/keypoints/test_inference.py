@@ -15,8 +15,8 @@ torch = pytest.importorskip("torch")
 
 from fgrecon.perception.keypoints.on_torch import knet_on_torch, refinement_on_torch  # noqa: E402
 from fgrecon_research.training.keypoints.knet import KNet, _Same  # noqa: E402
-from fgrecon_research.training.keypoints.refine_net import RefineNet  # noqa: E402
-from fgrecon_research.training.keypoints.tensors import load_tensors  # noqa: E402
+from fgrecon_research.training.keypoints.train_refine import RefineNet  # noqa: E402
+from fgrecon_research.training.keypoints.trainer import load_tensors  # noqa: E402
 
 CALIBRATION = ConfidenceCalibration()
 

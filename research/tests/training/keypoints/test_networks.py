@@ -14,7 +14,7 @@ from fgrecon.perception.keypoints.network_file import Stored, save_weights
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.dataset import Photographs, prepare_photographs
 from fgrecon_research.training.keypoints.labels import fit_shape, project_labels
-from fgrecon_research.training.keypoints.tensors import load_tensors, mean_state
+from fgrecon_research.training.keypoints.trainer import load_tensors, mean_state
 from research.tests.training.keypoints.support import made_up_cars, unit_car_prior
 
 torch = pytest.importorskip("torch")

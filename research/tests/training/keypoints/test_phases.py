@@ -9,7 +9,7 @@ from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io import files
 from fgrecon.io.catalogue import load_prior
-from fgrecon_research.training.keypoints.tensors import load_tensors
+from fgrecon_research.training.keypoints.trainer import load_tensors
 from research.tests.annotation.streets import Car, Told, write_drive
 from research.tests.training.keypoints.support import make_small
 from research.tests.training.keypoints.test_rounds import source  # noqa: F401 - a fixture

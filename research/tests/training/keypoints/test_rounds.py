@@ -15,8 +15,7 @@ from fgrecon.perception.keypoints.network_file import Stored, save_weights
 from fgrecon_research.training.keypoints.calibrate import calibrate
 from fgrecon_research.training.keypoints.evaluate import azimuth_errors, localisation, marks_reliability, score_marks
 from fgrecon_research.training.keypoints.marks import Mark
-from fgrecon_research.training.keypoints.tensors import load_tensors
-from fgrecon_research.training.keypoints.trainer import load_checkpoint
+from fgrecon_research.training.keypoints.trainer import load_checkpoint, load_tensors
 from research.tests.training.keypoints.support import made_up_cars, unit_car_prior
 
 torch = pytest.importorskip("torch")
@@ -31,9 +30,9 @@ from fgrecon_research.training.keypoints.labelling import (  # noqa: E402
     first_labelling,
     open_photographs,
 )
-from fgrecon_research.training.keypoints.refine_net import RefineNet  # noqa: E402
 from fgrecon_research.training.keypoints.rounds import _as_detector, train_in_rounds  # noqa: E402
 from fgrecon_research.training.keypoints.train import HeldOut, Training  # noqa: E402
+from fgrecon_research.training.keypoints.train_refine import RefineNet  # noqa: E402
 
 SMALL = KNetSettings(crop=32, width=8)
 HOW = Training(steps=2, batch=2, warmup=1, save_every=1, workers=0, network=SMALL, street=Street(size=32))

@@ -12,7 +12,7 @@ from fgrecon.perception.keypoints.network_file import WITHOUT_STREET, shipped
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.networks import Plan
 from fgrecon_research.training.keypoints.settings import Phase, TrainingSettings, read_settings, shipped_settings
-from fgrecon_research.training.keypoints.tensors import load_tensors
+from fgrecon_research.training.keypoints.trainer import load_tensors
 
 SHIPPED = "keypoints-car14"
 ONE = '[[phase]]\nname = "one"\n'

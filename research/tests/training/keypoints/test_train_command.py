@@ -16,7 +16,7 @@ from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.network_file import Stored, save_weights
 from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.labels import vehicle_labels
-from fgrecon_research.training.keypoints.tensors import load_tensors
+from fgrecon_research.training.keypoints.trainer import load_tensors
 from research.tests.annotation.streets import Car, Told, write_drive
 from research.tests.training.keypoints.support import make_small
 from research.tests.training.keypoints.test_rounds import SMALL, source  # noqa: F401 - a fixture
@@ -26,7 +26,7 @@ torch = pytest.importorskip("torch")
 from fgrecon.perception.keypoints.layout import RefineSettings  # noqa: E402
 from fgrecon_research.training.keypoints import networks, rounds  # noqa: E402
 from fgrecon_research.training.keypoints.knet import KNet  # noqa: E402
-from fgrecon_research.training.keypoints.refine_net import RefineNet  # noqa: E402
+from fgrecon_research.training.keypoints.train_refine import RefineNet  # noqa: E402
 
 
 @pytest.fixture

@@ -10,8 +10,11 @@ from research.tests.training.keypoints.test_augment import made_up_view
 torch = pytest.importorskip("torch")
 
 from fgrecon_research.training.keypoints.augment import Street  # noqa: E402
-from fgrecon_research.training.keypoints.refine_net import RefineNet  # noqa: E402
-from fgrecon_research.training.keypoints.train_refine import RefineTraining, train_refinement  # noqa: E402
+from fgrecon_research.training.keypoints.train_refine import (  # noqa: E402
+    RefineNet,
+    RefineTraining,
+    train_refinement,
+)
 
 MIRROR = load_category("car14").mirror
 SMALL = RefineSettings(crop=64, width=2)

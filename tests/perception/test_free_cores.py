@@ -5,8 +5,8 @@ import os
 
 import pytest
 
-from fgrecon.core import free_cores as module
-from fgrecon.core.free_cores import allowed_cores, free_cores, load_of_others, share_of_cgroup
+from fgrecon.perception.keypoints import sessions as module
+from fgrecon.perception.keypoints.sessions import allowed_cores, free_cores, load_of_others, share_of_cgroup
 
 
 def test_processors_of_one_core_count_once(monkeypatch):
