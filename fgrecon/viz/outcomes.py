@@ -18,7 +18,7 @@ from fgrecon.core.text import printable
 from fgrecon.viz.animation import animate
 from fgrecon.viz.picture import contact_sheet, picture, save_picture
 from fgrecon.viz.scene_picture import scene_picture
-from fgrecon.viz.sinks import Recording, recordings_of
+from fgrecon.viz.sinks import Recording
 from fgrecon.viz.subjects import DrawnVehicle, SolvedVehicle, detection_words
 
 HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted")
@@ -118,7 +118,8 @@ def recordings(
         image: (H, W, 3) photograph.
         grounds: The ground of each image, by its name.
     """
-    from fgrecon.viz.scene_recording import scene_recording_of  # on use: it imports rerun
+    from fgrecon.viz.recording import recordings_of  # on use: it imports rerun
+    from fgrecon.viz.scene_recording import scene_recording_of
 
     made: list[tuple[str, Recording]] = []
     for (name, _), members in _by_image(outcomes).items():

@@ -6,7 +6,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,16 @@ def recording_of(vehicle: SolvedVehicle, *, ground: Ground | None = None) -> Rec
         return play.stream.empty_into
 
     return Recording(make, lambda: vehicle_blueprint(vehicle))
+
+
+def recordings_of(sights: Sequence[SolvedVehicle], ground: Ground | None) -> list[tuple[str, Recording]]:
+    """Title and recording of vehicles.
+
+    Args:
+        ground: The ground plane that was assumed.
+    """
+    images = {id(s.image): Photograph.of(s.image) for s in sights}  # several vehicles may be in one
+    return [(s.title, recording_of(replace(s, image=images[id(s.image)]), ground=ground)) for s in sights]
 
 
 def log_vehicle(play: Playback) -> None:

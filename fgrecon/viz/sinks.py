@@ -12,15 +12,13 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.core.text import distinct, whole_text
 from fgrecon.io.files import check_output, replacing
-from fgrecon.viz.subjects import Photograph, SolvedVehicle
 
 APPLICATION = "fgrecon"
 """First part of the application that a recording names; the second is the recording's own name. Viewers keep one layout
@@ -302,18 +300,6 @@ def deliver(
         for identity, recording in recordings:
             recording.send(identity, address)
     return written
-
-
-def recordings_of(sights: Sequence[SolvedVehicle], ground: Ground | None) -> list[tuple[str, Recording]]:
-    """Title and recording of vehicles.
-
-    Args:
-        ground: The ground plane that was assumed.
-    """
-    from fgrecon.viz.recording import recording_of  # on use: it imports rerun
-
-    images = {id(s.image): Photograph.of(s.image) for s in sights}  # several vehicles may be in one
-    return [(s.title, recording_of(replace(s, image=images[id(s.image)]), ground=ground)) for s in sights]
 
 
 def _write(recordings: Sequence[tuple[str, Recording]], save: Path, *, several: bool) -> list[Path]:

@@ -1,7 +1,6 @@
 """Cameras from other programs' calibration files: the same camera as the numbers that were written."""
 
 import contextlib
-import importlib
 import json
 
 import cv2
@@ -336,9 +335,3 @@ def test_a_folder_of_kittis_calibrations_has_one_for_each_image(tmp_path):
     assert [source.camera(f"{n:06d}.png")[0].matrix[0, 0] for n in (0, 1)] == [700, 800]
     with pytest.raises(InvalidInputError, match=r"000002\.txt"):
         source.camera("000002.png")
-
-
-def test_the_module_is_found_by_the_name_that_it_had():
-    reader = importlib.import_module("fgrecon.io.cameras.reader")
-    with pytest.warns(DeprecationWarning, match="Import read_camera from fgrecon.io.cameras"):
-        assert reader.read_camera is read_camera

@@ -11,7 +11,8 @@ from rerun.chunk import RrdReader
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.viz import Recording, SolvedVehicle, entities, recording_of, replay
-from fgrecon.viz.sinks import deliver, recordings_of
+from fgrecon.viz.recording import recordings_of
+from fgrecon.viz.sinks import deliver
 from tests.results import changed
 from tests.viz.made_up import Example, make_example
 

@@ -22,7 +22,7 @@ from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.viz import SolvedVehicle, contact_sheet, save_picture
-from fgrecon.viz.sinks import recordings_of
+from fgrecon.viz.recording import recordings_of
 from fgrecon.viz.subjects import Truth
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption, MarkdownOption, ResultsOption
 from fgrecon_research.evaluation import kitti_images

@@ -15,7 +15,7 @@ from fgrecon.cli.reconstruct_report import details
 from fgrecon.cli.terminal import Terminal
 from fgrecon.io.images import read_image
 from fgrecon.viz import SolvedVehicle, contact_sheet, picture, save_picture
-from fgrecon.viz.sinks import recordings_of
+from fgrecon.viz.recording import recordings_of
 from fgrecon.viz.subjects import Truth
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
 from fgrecon_research.paper.icra2017 import EXAMPLES, GROUND, Icra2017Result, evaluate_icra2017, true_pose
