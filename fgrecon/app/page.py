@@ -1,13 +1,10 @@
-"""The page: what a visitor gives or tries at the left, what becomes of it at the right."""
+"""The page: what a visitor gives at the left, what becomes of it at the right."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
-from functools import lru_cache
 from math import radians, tan
-from pathlib import Path
 from typing import Any
 
 from nicegui import events, ui
@@ -15,51 +12,15 @@ from nicegui.elements.upload_files import SmallFileUpload
 
 from fgrecon.app.picture_editor import LOOK
 from fgrecon.app.picture_panel import HINTS, PicturePanel
-from fgrecon.app.requested import Requested
 from fgrecon.app.result_tabs import TABLE, ResultTabs
-from fgrecon.app.solving import Uploaded
+from fgrecon.app.sample import GIVEN, sample_video
 from fgrecon.app.upload_kinds import is_video
 from fgrecon.app.video_panel import VideoPanel
-from fgrecon.app.view import view_of
 from fgrecon.app.visit import Visit
 from fgrecon.app.workers import Workers
 from fgrecon.core.errors import FgreconError
-from fgrecon.core.size_prior import SIZE_PRIORS, size_prior
-from fgrecon.io.catalogue import load_prior
-from fgrecon.io.images import write_png
-from fgrecon.io.video import write_video
-from fgrecon.simulation.sample import sample_drive, sample_street
+from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.viz.outcomes import HEADINGS
-
-GIVEN = Requested(intrinsics="721.5,721.5,609.6,172.9", camera_height="1.65", size_prior="kitti")
-"""What is known of them."""
-
-_RATE = 10.0  # frames per second
-
-
-def sample_photograph(folder: Path) -> bytes:
-    """It as PNG, made in a folder."""
-    street = sample_street(load_prior("car14").for_fleet(size_prior("kitti")))
-    return write_png(folder / "street.png", street.image).read_bytes()
-
-
-def sample_video(folder: Path) -> bytes:
-    """A car that passes a standing camera, as MP4, made in a folder."""
-    prior = load_prior("car14").for_fleet(size_prior("kitti"))
-    with write_video(path := folder / "street.mp4", rate=_RATE) as add:
-        for street in sample_drive(prior):
-            add(street.image, None)
-    return path.read_bytes()
-
-
-@lru_cache(maxsize=1)
-def make_page_ready() -> bool:
-    """Load what the page needs by looking at the sample once, so that the first visitor does not wait for it."""
-    with tempfile.TemporaryDirectory(prefix="fgrecon-") as name:
-        (Path(name) / "street.png").write_bytes(sample_photograph(Path(name)))
-        view_of(Path(name), Uploaded("street.png"), GIVEN)
-    return True
-
 
 _ACCEPT = "image/*,video/*,.mkv,.json,.txt,.yaml,.yml"
 _ENTRIES = {

@@ -16,8 +16,9 @@ from fgrecon.app.guard import Guard
 from fgrecon.app.label_folder import LabelFolder
 from fgrecon.app.label_page import LabelPage
 from fgrecon.app.limits import Limits
-from fgrecon.app.page import MainPage, make_page_ready, sample_photograph
+from fgrecon.app.page import MainPage
 from fgrecon.app.requested import PageRequested
+from fgrecon.app.sample import make_page_ready, sample_photograph
 from fgrecon.app.visit import Made, Visit
 from fgrecon.app.workers import Workers
 from fgrecon.core.errors import FgreconError

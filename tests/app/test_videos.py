@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from fgrecon.app.page import GIVEN, sample_video
 from fgrecon.app.requested import PageRequested
+from fgrecon.app.sample import GIVEN, sample_video
 from fgrecon.app.timeline import chart_of, in_words
 from fgrecon.app.videos import FILM, FRAMES, RECORDING, TABLE_FILE, CarMoment, followed, progress_of, stop, track_upload
 from fgrecon.app.written import as_video_command

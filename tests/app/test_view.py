@@ -5,9 +5,9 @@ import shutil
 
 import pytest
 
-from fgrecon.app.page import sample_photograph
 from fgrecon.app.picture_editor import BOXES, KEYPOINTS, Editor, drawing
 from fgrecon.app.requested import Requested
+from fgrecon.app.sample import sample_photograph
 from fgrecon.app.solving import Uploaded
 from fgrecon.app.view import picture_of, recording_of_upload, view_of
 from fgrecon.core.errors import InvalidInputError
