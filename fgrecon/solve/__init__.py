@@ -1,4 +1,4 @@
-"""From keypoints to pose and shape: proposals, factor graph, result. These are the parts to build one's own from."""
+"""From keypoints to pose and shape: proposals, factor graph, result. These are the parts for building your own."""
 
 from __future__ import annotations
 
