@@ -69,16 +69,72 @@ def marginal(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, leaving: S
     dims = tuple(len(zero.at(key)) for key in staying)
     cut = len(linear) - sum(dims)
     inner = information[:cut, :cut] + _DAMPED * np.diag(np.maximum(np.diag(information)[:cut], _DAMPED))
-    gain = np.linalg.solve(inner, information[:cut, cut:]).T
-    left = information[cut:, cut:] - gain @ information[:cut, cut:]
-    spread, axes = np.linalg.eigh((left + left.T) / 2.0)
-    known = spread > _NOTHING * max(spread[-1], 1e-300)
-    root = np.sqrt(spread[known])
-    right = axes[:, known].T @ (linear[cut:] - gain @ linear[:cut]) / root
+    gain = np.empty((sum(dims), cut))
+    for part in _parts(graph, leaving, [len(zero.at(key)) for key in leaving]):
+        gain[:, part] = np.linalg.solve(inner[np.ix_(part, part)], information[part, cut:]).T
     kept = gtsam.Values(values)
     for key in set(kept.keys()) - set(staying):
         kept.erase(key)
-    return Marginal(tuple(staying), dims, kept, root[:, None] * axes[:, known].T, right)
+    left = information[cut:, cut:] - gain @ information[:cut, cut:]
+    return _marginal(tuple(staying), dims, kept, left, linear[cut:] - gain @ linear[:cut])
+
+
+def _parts(graph: gtsam.NonlinearFactorGraph, leaving: Sequence[int], dims: Sequence[int]) -> list[list[int]]:
+    """Places of the numbers of variables that leave, those apart that no factor ties to one another."""
+    of = {key: {key} for key in leaving}
+    for factor in map(graph.at, range(graph.size())):
+        tied = [key for key in factor.keys() if key in of]  # noqa: SIM118 - GTSAM's
+        for other in tied[1:]:
+            if of[other] is not of[tied[0]]:
+                of[tied[0]] |= of[other]
+                of |= dict.fromkeys(of[other], of[tied[0]])
+    ends = dict(zip(leaving, pairwise(accumulate(dims, initial=0)), strict=True))
+    each = {id(some): some for some in of.values()}.values()
+    return [[place for key in sorted(some) for place in range(*ends[key])] for some in each]
+
+
+def _marginal(
+    keys: tuple[int, ...], dims: tuple[int, ...], values: gtsam.Values, information: Array, linear: Array
+) -> Marginal:
+    """From the information (D, D) at values, and what it would move there (D,)."""
+    spread, axes = np.linalg.eigh((information + information.T) / 2.0)
+    known = spread > _NOTHING * max(spread[-1], 1e-300)
+    root = np.sqrt(spread[known])
+    right = axes[:, known].T @ linear / root
+    return Marginal(keys, dims, values, root[:, None] * axes[:, known].T, right)
+
+
+def normal_marginal(key: int, mean: Array, covariance: Array) -> Marginal:
+    """What is known of a vector (D,) that has a mean and a covariance.
+
+    Raises:
+        LinAlgError: The covariance is singular.
+    """
+    values = gtsam.Values()
+    values.insert(key, mean)
+    return _marginal((key,), (len(mean),), values, np.linalg.inv(covariance).astype(np.float64), np.zeros(len(mean)))
+
+
+def both(one: Marginal, other: Marginal) -> Marginal:
+    """What is known of a vector by both, at the place that they give.
+
+    Raises:
+        LinAlgError: They leave it open.
+    """
+    (key,) = one.keys
+    information = one.matrix.T @ one.matrix + other.matrix.T @ other.matrix
+
+    def pull(place: Array) -> Array:
+        total = np.zeros(len(place))
+        for some in (one, other):
+            total += some.matrix.T @ (some.right - some.matrix @ (place - some.values.atVector(key)))
+        return total
+
+    place = one.values.atVector(key)
+    place = place + np.linalg.solve(information, pull(place))
+    values = gtsam.Values()
+    values.insert(key, place)
+    return _marginal(one.keys, one.dims, values, information, pull(place))
 
 
 def marginal_factor(past: Marginal) -> gtsam.CustomFactor:

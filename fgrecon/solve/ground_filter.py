@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from factors.contact import GroundFrame
 from factors.ground_transition import ground_transition_factor
 from factors.keys import G
-from factors.marginals import Marginal, marginal, marginal_factor
+from factors.marginals import Marginal, both, normal_marginal
 from factors.noise import full_noise
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FactorCallbackError
@@ -167,7 +167,7 @@ class GroundFilter:
         if evidence is not None:
             said, before = evidence.said.scaled(share), known
             less = said.scaled(1.0 / evidence.common_factor)
-            known = _known(lambda: (_both(before.where, said), _both(before.counted, less))) or known
+            known = _known(lambda: (both(before.where, said), both(before.counted, less))) or known
         found = _ground(nominal, known)
         return (
             GroundFilter(None if found is None else _Past(frame, nominal, known, found.ground, share)),
@@ -243,34 +243,18 @@ def _known(make: Callable[[], tuple[Marginal, Marginal]]) -> _Known | None:
 
 
 def _on_road(left: Marginal, moved: gtsam.CustomFactor) -> Marginal:
-    """What is known of a frame's ground by those before."""
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values(left.values)
-    graph.add(marginal_factor(left))
-    graph.add(moved)
-    values.insert(G(1), np.zeros(3))
-    return _on_first(marginal(graph, _solved(graph, values), [G(0)]))
+    """What is known of a frame's ground by those before.
 
-
-def _both(known: Marginal, said: Marginal) -> Marginal:
-    """What is known of a ground by both."""
-    graph = gtsam.NonlinearFactorGraph()
-    graph.add(marginal_factor(known))
-    graph.add(marginal_factor(said))
-    values = _solved(graph, known.values)
-    return marginal(graph, values, [])
-
-
-def _solved(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
-    for _ in range(GROUND_FILTER.iterations):
-        values = values.retract(graph.linearize(values).optimize())
-    return values
-
-
-def _on_first(left: Marginal) -> Marginal:
-    """The same about G(0)."""
+    The frame's vehicles have not spoken yet, so the ground before stays where it is, and this one is where that leads.
+    """
+    covariance = _covariance(left)
+    place = left.values.atVector(G(0)) + np.linalg.solve(left.matrix.T @ left.matrix, left.matrix.T @ left.right)
     values = gtsam.Values()
-    values.insert(G(0), left.values.atVector(left.keys[0]))
-    return Marginal((G(0),), left.dims, values, left.matrix, left.right)
+    values.insert(G(0), place)
+    values.insert(G(1), np.zeros(3))
+    rows, right = moved.linearize(values).jacobian()
+    before, now = rows[:, :3], np.linalg.inv(rows[:, 3:])
+    return normal_marginal(G(0), now @ right, now @ (before @ covariance @ before.T + np.eye(3)) @ now.T)
 
 
 def _ground(nominal: _Nominal, known: _Known) -> KnownGround | None:

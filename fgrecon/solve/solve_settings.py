@@ -64,7 +64,6 @@ class GroundFilterSettings:
     near_m: float = 10.0  # the depths at which the uncertainty is that of the ground's
     far_m: float = 40.0
     least_kept: float = 1e-6  # of what was known
-    iterations: int = 3  # of a solve that is nearly linear
     ground_iterations: int = 1  # Newton's, of the vehicles together: each begins near its minimum
     farthest_camera_m: float = 1e6  # a camera that is further away has come there in an unknown way
     shortest_s: float = 1e-6  # from frame to frame: noise that grows with time must not vanish
