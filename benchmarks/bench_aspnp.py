@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.solve.proposals import _polynomial
-from fgrecon.solve.proposals.aspnp import aspnp, aspnp_cost
-from tests.solve.proposals.problems import KINDS, PnPProblem, random_problem
+from fgrecon.solve.proposals.aspnp import aspnp
+from tests.solve.proposals.problems import KINDS, PnPProblem, aspnp_cost, random_problem
 
 Array = NDArray[np.float64]
 

@@ -26,10 +26,10 @@ from fgrecon.core.options import Options
 from fgrecon.core.robust import StrategyName, strategy
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, kitti_like_pose, simulate
-from fgrecon.solve.proposals.aspnp import aspnp_cost
 from fgrecon.solve.proposals.irls import Algorithm1Result, algorithm1
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import prepare
+from tests.solve.proposals.problems import aspnp_cost
 
 Array = NDArray[np.float64]
 

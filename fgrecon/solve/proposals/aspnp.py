@@ -31,7 +31,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
-from fgrecon.core.geometry import transform
 from fgrecon.solve.proposals import _polynomial
 
 Array = NDArray[np.float64]
@@ -111,31 +110,6 @@ def aspnp(
         pose[:3, 3] = ray * (scale / squared_length[i]) - pose[:3, :3] @ centroid
         solutions.append(PnPSolution(pose, total * float(rms[i]) ** 2, float(rms[i]), float(weight_in_front[i])))
     return tuple(solutions)
-
-
-def aspnp_cost(
-    points: ArrayLike, image_points: ArrayLike, weights: ArrayLike | None, camera_T_object: ArrayLike
-) -> float:
-    """The cost that `aspnp` minimises, at any pose; infinite where the centroid is not in front of the camera.
-
-    Args:
-        points: (N, 3) points in the object frame.
-        image_points: (N, 2) normalised image coordinates.
-        weights: (N,) weights, or None for ones.
-        camera_T_object: (4, 4) rigid transform from the object into the camera frame.
-
-    Raises:
-        InvalidInputError: As for `aspnp`.
-        DegenerateProblemError: Fewer than three points of positive weight.
-    """
-    points, image_points, weights = _checked(points, image_points, weights)
-    pose = as_finite("camera_T_object", camera_T_object, (4, 4))
-    in_camera = transform(pose, points)
-    depth = float(weights @ in_camera[:, 2] / weights.sum())
-    if depth <= 0:
-        return float("inf")
-    errors = (in_camera[:, :2] - image_points * in_camera[:, 2:]) / depth
-    return float(weights @ (errors * errors).sum(axis=1))
 
 
 def _checked(points: ArrayLike, image_points: ArrayLike, weights: ArrayLike | None) -> tuple[Array, Array, Array]:

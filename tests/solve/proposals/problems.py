@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-__all__ = ["KINDS", "PnPProblem", "random_problem"]
+__all__ = ["KINDS", "PnPProblem", "aspnp_cost", "random_problem"]
 
 Array = NDArray[np.float64]
 
@@ -73,3 +73,15 @@ def random_problem(rng: np.random.Generator) -> PnPProblem:
     pose[:3, :3], pose[:3, 3] = rotation, unit * translation
     repeats = rng.integers(1, 4, size=count) if rng.random() < 0.3 else np.ones(count, dtype=np.int64)
     return PnPProblem(unit * points, image_points, repeats, pose, kind, noise, int(wrong.sum()))
+
+
+def aspnp_cost(points, image_points, weights, camera_T_object) -> float:
+    """The cost that `aspnp` minimises, at any pose; infinite where the centroid is not in front of the camera."""
+    points, image_points = np.asarray(points), np.asarray(image_points)
+    weights = np.ones(len(points)) if weights is None else np.asarray(weights, dtype=np.float64)
+    in_camera = points @ camera_T_object[:3, :3].T + camera_T_object[:3, 3]
+    depth = float(weights @ in_camera[:, 2] / weights.sum())
+    if depth <= 0:
+        return float("inf")
+    errors = (in_camera[:, :2] - image_points * in_camera[:, 2:]) / depth
+    return float(weights @ (errors * errors).sum(axis=1))

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
-from fgrecon.solve.proposals.aspnp import aspnp, aspnp_cost
-from tests.solve.proposals.problems import random_problem
+from fgrecon.solve.proposals.aspnp import aspnp
+from tests.solve.proposals.problems import aspnp_cost, random_problem
 
 CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,9 +132,8 @@ def fit_direction(calibration: ConfidenceCalibration, azimuth: Array, truth: Arr
         return calibration
     centres = 2.0 * np.pi * np.arange(azimuth.shape[1]) / azimuth.shape[1]
     side = 0.5 * (1.0 + np.sign(np.round(np.cos(centres - truth[:, None]), 9)))  # a bin on the border counts half
-    tried = [replace(calibration, sharpness=power, doubt=doubt) for power in _SHARPNESS for doubt in _DOUBTS]
-    cost = [-float(np.log((one.direction(azimuth) * side).sum(axis=1) + 1e-6).mean()) for one in tried]
-    return tried[int(np.argmin(cost))]
+    tried = [replace(calibration, sharpness=power, doubt=doubt) for power, doubt in product(_SHARPNESS, _DOUBTS)]
+    return _most_probable(tried, lambda one: (one.direction(azimuth) * side).sum(axis=1))
 
 
 def fit_kinds(calibration: ConfidenceCalibration, kinds: Array, truth: NDArray[np.int64]) -> ConfidenceCalibration:
@@ -144,7 +145,15 @@ def fit_kinds(calibration: ConfidenceCalibration, kinds: Array, truth: NDArray[n
     """
     if not len(truth):
         return calibration
-    tried = [replace(calibration, kind_sharpness=power, kind_doubt=doubt) for power in _SHARPNESS for doubt in _DOUBTS]
     rows = np.arange(len(truth))
-    cost = [-float(np.log(one.kinds(kinds)[rows, truth] + 1e-6).mean()) for one in tried]
-    return tried[int(np.argmin(cost))]
+    tried = [
+        replace(calibration, kind_sharpness=power, kind_doubt=doubt) for power, doubt in product(_SHARPNESS, _DOUBTS)
+    ]
+    return _most_probable(tried, lambda one: one.kinds(kinds)[rows, truth])
+
+
+def _most_probable(
+    tried: Sequence[ConfidenceCalibration], likelihood: Callable[[ConfidenceCalibration], Array]
+) -> ConfidenceCalibration:
+    """The calibration that makes examples (M,) most probable."""
+    return tried[int(np.argmin([-float(np.log(likelihood(one) + 1e-6).mean()) for one in tried]))]
