@@ -129,9 +129,10 @@ class SideBySide:
         way = [*there, *there[-2:0:-1]]
         for number in range(self.long):
             (images / f"{number:06d}.jpg").symlink_to(way[number % len(way)])
-        table = Table(f"Memory over {self.long} frames, --online", COLUMNS)
+        table = Table(f"Memory over {self.long} frames", COLUMNS)
         one = SideBySide(self.builds, self.folder, self.data, self.frames, 1)
-        table.rows = one.rows("", lambda build: self._paced(build, 0.0, images, "--online"))
+        for way, more in {"smoothed": (), "--online": ("--online",)}.items():
+            table.rows += one.rows(way, lambda build, more=more: self._paced(build, 0.0, images, *more))
         table.notes.append("Growth: from a quarter of the frames to their end.")
         return table
 
