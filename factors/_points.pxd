@@ -8,6 +8,7 @@ cdef class Points:
     cdef double ratio(self, int i, const double *shared) noexcept nogil
     cdef void place(self, int i, const double *R, const double *t, const double *shared, double *local) noexcept nogil
     cdef int nearest(self, const double *local, const double *sensor, const double *scale, bint *facing) noexcept nogil
+    cdef bint is_near(self, const double *local, const double *size) noexcept nogil
     cdef double off(self, int k, const double *local, const double *x) noexcept nogil
     cdef void trace(
         self, const double *x, const double *size, const double *sensor, const double *scale, const double *unit,

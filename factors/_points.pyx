@@ -13,6 +13,7 @@ from factors.mixture import STIFFEST
 
 cdef double PI = 3.14159265358979323846, STIFF = STIFFEST, SPREAD = rows.SPREAD, LEAST_COSINE = rows.LEAST_COSINE
 cdef double LONGEST_STEP = rows.LONGEST_STEP, SOFTNESS = rows.SOFTNESS, LEAST_RATIO = rows.LEAST_RATIO
+cdef double FARTHEST = rows.FARTHEST, OUTSIDE = rows.OUTSIDE
 cdef int STEPS = rows.STEPS
 cdef double NOTHING[2]  # zeros: what points share where nothing is known of it
 
@@ -120,6 +121,15 @@ cdef class Points:
         facing[0] = best >= 0
         return best if best >= 0 else self.neighbours[k, 0]
 
+    cdef bint is_near(self, const double *local, const double *size) noexcept nogil:
+        """Whether a point in the object frame is so near the vehicle's cuboid that it may be on a patch."""
+        cdef double reach = self.odds[6] + FARTHEST * self.odds[7] + OUTSIDE
+        return (
+            fabs(local[0]) <= 0.5 * size[0] + reach
+            and fabs(local[1] + 0.5 * size[2]) <= 0.5 * size[2] + reach
+            and fabs(local[2]) <= 0.5 * size[1] + reach
+        )
+
     cdef double off(self, int k, const double *local, const double *x) noexcept nogil:
         """Distance of a point in the object frame from the plane of a patch, metres."""
         cdef int a, n
@@ -218,8 +228,10 @@ cdef class Points:
             for a in range(3):
                 unit[a] /= max(far, 1e-9)
             self.trace(x, size, sensor, scale, unit, met)
-        k = self.nearest(met, sensor, scale, &facing)
         right[0], sigma[0] = 0.0, self.sigma[i]
+        if not (self.along[i] > 0.0 or self.is_near(local, size)):
+            return 0
+        k = self.nearest(met, sensor, scale, &facing)
         if self.along[i] > 0.0:
             for a in range(3):
                 cosine += unit[a] * self.normal[k, a]

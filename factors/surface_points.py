@@ -61,6 +61,9 @@ LEAST_COSINE, LONGEST_STEP = 0.05, 1.0
 SOFTNESS = 1.7
 """Of a logistic function that is about a normal distribution's."""
 
+FARTHEST, OUTSIDE = 5.0, 0.25
+"""Standard deviations beyond a patch, and metres of mirrors beyond the cuboid, from which on a point is on no patch."""
+
 LEAST_RATIO = 0.05
 """Of a point's depth to what was measured."""
 
@@ -124,6 +127,8 @@ class PointRows:
             traced = self._traced(sensor, unit, scale, size, coefficients)
             met = np.where(self.along[:, None] > 0.0, traced, local)
         patch, facing = self._nearest(met, sensor, scale)
+        near = (self.along > 0.0) | self._is_near(local, size)
+        patch, facing = np.where(near, patch, 0), near & facing
         normal = patches.normal[patch]
         away = met - self._centres(patch, coefficients)
         off = (away * normal).sum(axis=1)
@@ -162,6 +167,13 @@ class PointRows:
         squares = np.where(facing, np.square((local * scale)[:, None] - centres).sum(axis=-1), np.inf)
         best = np.arange(len(local)), squares.argmin(axis=1)
         return near[best].astype(np.intp), facing[best]
+
+    def _is_near(self, local: Array, size: Array) -> NDArray[np.bool_]:
+        """(M,) which points in the object frame are so near the vehicle's cuboid that they may be on a patch."""
+        half, middle = size[[0, 2, 1]] / 2.0, np.array([0.0, -size[2] / 2.0, 0.0])
+        reach = self.odds.reach + FARTHEST * self.odds.reach_sigma + OUTSIDE
+        near: NDArray[np.bool_] = (np.abs(local - middle) <= half + reach).all(axis=1)
+        return near
 
     def _traced(self, sensor: Array, unit: Array, scale: Array, size: Array, coefficients: Array) -> Array:
         """(M, 3) where rays meet the surface, object frame; of one that misses it, where it is near."""
