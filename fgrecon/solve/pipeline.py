@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ from fgrecon.solve.image_facing import single_pose
 from fgrecon.solve.inputs import SolveSetup, as_extra_factors, as_initial, calibrated, evidence_of, observe
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.result import results
+from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -85,6 +87,7 @@ def reconstruct(
     start, factors = as_initial(initial, setup.prior), as_extra_factors(extra_factors)
     given = {"confidence": confidence, "box": box, "covariance": covariance}
     sensed = evidence_of(evidence, camera)
+    setup = replace(setup, ground=ground_by_points(sensed, setup.ground, camera, setup.options.disabled_terms))
     observed = observe(keypoints, camera, setup.prior.category, setup.options, **given, evidence=sensed)
     if observed.warning is not None:
         warn_of(InputWarnings.of({"the vehicle": observed.warning}), stacklevel=3)

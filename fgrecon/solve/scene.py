@@ -50,6 +50,7 @@ from fgrecon.solve.inputs import SolveSetup, as_box_errors, as_boxes, as_extra_f
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.mutual_occlusion import with_occlusion
 from fgrecon.solve.result import Marginalised, marginalise, pose_history, results, weakened
+from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.solve_settings import SCENE
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import prepare
@@ -106,7 +107,10 @@ def reconstruct_scene(
         unsized = prepare(setup.prior, None, setup.options.shape.basis_vectors)
         each = as_boxes(boxes, len(observations), known, setup.prior)
         boxed = [None if box is None else KnownBox(box, errors, unsized) for box in each]
-    setup = replace(setup, evidence=evidence_of(evidence, known, of_all=True))
+    sensed = evidence_of(evidence, known, of_all=True)
+    setup = replace(
+        setup, evidence=sensed, ground=ground_by_points(sensed, setup.ground, known, setup.options.disabled_terms)
+    )
     return _reconstruct(_Images([observations], known, setup, as_extra_factors(extra_factors)), boxed)[0]
 
 

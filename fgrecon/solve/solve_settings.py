@@ -96,6 +96,29 @@ class DepthScaleSettings:
 
 
 @dataclass(frozen=True)
+class RoadSettings:
+    """Of the measured points' plane that is the ground (`fgrecon.solve.road_plane`); not tuned but where it says so."""
+
+    height_sigma: float = 0.05  # how far roads are off a plane, metres; chosen on drive 0000 of KITTI's tracking set
+    slope_sigma: float = 0.006  # and radians; likewise
+    depth_m: tuple[float, float] = (3.0, 60.0)  # between which points are looked at
+    side_m: float = 15.0  # to either side
+    cell_m: float = 1.0  # side of a cell
+    cell_points: int = 2  # that a cell needs
+    lowest_share: float = 0.9  # of its points that are above the one that is taken
+    pixels: int = 20000  # of a depth map
+    start_percentile: float = 80.0  # of the heights of near cells: a first guess where no ground is given
+    scales_m: tuple[float, ...] = (0.3, 0.1, 0.05)  # of the robust loss, one after the other
+    inlier_m: float = 0.15
+    least_cells: int = 40  # on the plane
+    least_share: float = 0.25  # of all cells
+    least_spread_m: tuple[float, float] = (2.5, 8.0)  # across and along, of nine tenths of them
+    correlated_cells: float = 9.0  # so many count as one
+    typical_m: float = 15.0  # depth where heights are least tied to slopes
+    excluded_sigmas: float = 12.0  # of a given ground, by which the plane may differ from it: roads are banked
+
+
+@dataclass(frozen=True)
 class StatusSettings:
     """Limits of trust in results; chosen on five drives of KITTI's video, tested on two (docs/reference/result.md)."""
 
@@ -127,4 +150,4 @@ class StatusSettings:
 
 
 FACING, SCENE, GROUND_FILTER, STATUS = FacingSettings(), SceneSettings(), GroundFilterSettings(), StatusSettings()
-DEPTH_SCALE = DepthScaleSettings()
+DEPTH_SCALE, ROAD = DepthScaleSettings(), RoadSettings()

@@ -48,6 +48,7 @@ from fgrecon.solve.inputs import (
     observe,
 )
 from fgrecon.solve.result import marginalise, results
+from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.camera_drift import CameraDrift
@@ -167,6 +168,7 @@ class Tracker:
         place = None if world_T_camera is None else gtsam.Pose3(as_camera_pose(world_T_camera))
         moved = None if motion_covariance is None else as_motion_covariance(motion_covariance)
         sensed = evidence_of(evidence, used, of_all=True)
+        plane = ground_by_points(sensed, plane, used, self._setup.options.disabled_terms)
         with self._one_call:
             cameras = self._cameras_at(time, used, place)
             # Noise that grows with time must not vanish: frames of one time are a microsecond apart.

@@ -1,0 +1,119 @@
+"""The ground of an image by measured points: a plane through the lowest of each place, as sure as roads are planes.
+
+Points of a scan or of a depth map in metres ---- the lowest in each cell of the ground ---- robust plane ---- `Ground`
+
+It takes the place of a ground that is given less surely, or of none. Where points do not show enough of a plane, or one
+that the given ground excludes, nothing changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import TypeGuard
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.choices import DepthScale
+from fgrecon.core.depth_map import DepthMap
+from fgrecon.core.evidence import Evidence, Points
+from fgrecon.solve.solve_settings import ROAD
+
+Array = NDArray[np.float64]
+
+_cells: WeakKeyDictionary[Points | DepthMap, Array] = WeakKeyDictionary()  # vehicle by vehicle asks for the same scan's
+
+
+def ground_by_points(
+    evidence: Sequence[Evidence], given: Ground | None, camera: Camera, disabled: Collection[str]
+) -> Ground | None:
+    """The ground that is given, or the plane of the measured points where that says it more surely.
+
+    Args:
+        evidence: Of an image.
+        given: What is given of its ground, or None.
+        camera: The camera, which tells where a depth map's pixels are.
+        disabled: Kinds of evidence that do not count.
+    """
+    surer = given is not None and given.height_sigma <= ROAD.height_sigma and given.slope_sigma <= ROAD.slope_sigma
+    if surer or camera.focal_sigma:
+        return given
+    found = [_lowest(one, camera) for one in evidence if _metric(one, disabled)]
+    cells = np.concatenate([np.zeros((0, 3)), *found])
+    plane = _plane(cells, given) if len(cells) >= ROAD.least_cells else None
+    if plane is None:
+        return given
+    return replace(plane, tilt_sigma=plane.tilt_sigma if given is None else min(given.tilt_sigma, plane.tilt_sigma))
+
+
+def _metric(one: Evidence, disabled: Collection[str]) -> TypeGuard[Points | DepthMap]:
+    """Whether it has places in metres."""
+    if isinstance(one, Points):
+        return "points" not in disabled
+    return isinstance(one, DepthMap) and one.scale is DepthScale.METRIC and "depth" not in disabled
+
+
+def _lowest(one: Points | DepthMap, camera: Camera) -> Array:
+    """(M, 3) the lowest of the points in each cell of the ground ahead, but for a few that may be wrong."""
+    known = _cells.get(one)
+    if known is None:
+        points = one.points if isinstance(one, Points) else _pixels(one, camera)
+        near, far = ROAD.depth_m
+        points = points[(points[:, 2] > near) & (points[:, 2] < far) & (np.abs(points[:, 0]) < ROAD.side_m)]
+        column, row = np.floor(points[:, [0, 2]] / ROAD.cell_m).astype(np.int64).T
+        order = np.lexsort((points[:, 1], column, row))
+        points, cell = points[order], (row * 4096 + column)[order]
+        start = np.flatnonzero(np.diff(cell, prepend=-1))
+        count = np.diff([*start, len(cell)])
+        known = points[start + np.floor(ROAD.lowest_share * (count - 1)).astype(np.int64)][count >= ROAD.cell_points]
+        _cells[one] = known
+    return known
+
+
+def _pixels(depth: DepthMap, camera: Camera) -> Array:
+    """(M, 3) some of a depth map's pixels as points."""
+    step = max(1, int(np.sqrt(depth.depth.size / ROAD.pixels)))
+    row, column = (each.ravel() for each in np.mgrid[: depth.depth.shape[0] : step, : depth.depth.shape[1] : step])
+    metres = depth.depth[row, column]
+    if depth.inverse:
+        metres = 1.0 / np.where(metres > 0.0, metres, np.nan)
+    kept = np.isfinite(metres)
+    pixels = np.stack([column, row], axis=1)[kept].astype(np.float64)
+    rays = camera.rays(pixels if camera.distortion is None else camera.ideal_pixels(pixels)[0])
+    return np.asarray(rays * metres[kept, None])
+
+
+def _plane(cells: Array, given: Ground | None) -> Ground | None:
+    """The plane on which most of the lowest points (M, 3) are; None where too few show it, or `given` excludes it."""
+    from scipy.optimize import least_squares  # on use: hardly anybody has points
+
+    x, y, z = cells.T
+    ahead = np.stack([np.ones(len(cells)), x, z], axis=1)  # y = a + b x + c z
+    if given is None:
+        start = np.array([np.percentile(y[z < np.median(z)], ROAD.start_percentile), 0.0, 0.0])
+    else:
+        start = np.array([given.distance, -given.normal[0], -given.normal[2]]) / given.normal[1]
+    for scale in ROAD.scales_m:
+        start = least_squares(lambda p: ahead @ p - y, start, jac=lambda _: ahead, loss="cauchy", f_scale=scale).x
+    off = ahead @ start - y
+    on = np.abs(off) < ROAD.inlier_m
+    spread = np.ptp(np.percentile(cells[on][:, [0, 2]], [5, 95], axis=0), axis=0) if on.any() else np.zeros(2)
+    if on.sum() < ROAD.least_cells or on.mean() < ROAD.least_share or (spread < ROAD.least_spread_m).any():
+        return None
+    normal = np.array([-start[1], 1.0, -start[2]]) / np.linalg.norm([start[1], 1.0, start[2]])
+    if start[0] <= 0.0 or (given is not None and _excluded(normal, start[0] * normal[1], given)):
+        return None
+    variance = np.square(off[on]).mean() * ROAD.correlated_cells
+    about = ahead[on] - [0.0, 0.0, ROAD.typical_m]
+    sigma = np.sqrt(variance * np.diag(np.linalg.inv(about.T @ about)))
+    height, slope = np.hypot(ROAD.height_sigma, sigma[0]), np.hypot(ROAD.slope_sigma, max(sigma[1:]))
+    return Ground(normal, float(start[0] * normal[1]), float(height), float(slope))
+
+
+def _excluded(normal: Array, distance: float, given: Ground) -> bool:
+    """Whether a plane is none that the given ground allows."""
+    off = np.array([distance - given.distance, *(normal - given.normal)[[0, 2]]])
+    return bool((np.abs(off) > ROAD.excluded_sigmas * np.array([given.height_sigma, *2 * (given.slope_sigma,)])).any())
