@@ -18,6 +18,7 @@ key        type in `Values`    meaning                                         u
                                the nominal one
 ``D(t,n)`` vector (2,)         scale and shift of depth map n of frame t: log  -, metres or 1 / metres
                                of their ratio to the nominal one, difference
+           or (6,)             turn and shift of a sensor's points             radians, metres
 ``S()``    vector (3,)         how far the mean length, width and height of    metres
                                the vehicles' fleet are from the prior's
 =========  ==================  ==============================================  ======================
@@ -93,7 +94,10 @@ def F(t: int = 0) -> int:
 
 
 def D(t: int = 0, n: int = 0) -> int:
-    """Key of scale and shift (2,) of a depth map of frame t (`factors.surface_points.Shared`)."""
+    """Key of what points of frame t share: of a depth map scale and shift (2,), of a sensor's place the error (6,).
+
+    See `factors.surface_points.Shared` and `factors.placed_points`.
+    """
     return _key("D", n, t, "t")
 
 

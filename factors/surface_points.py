@@ -327,8 +327,7 @@ class SurfacePointsFactor(SensedFactor):
             share: Share of its information that the observation has.
             name: What measured them.
         """
-        more = [] if rows.shared is Shared.NONE else [(shared, 2)]
-        super().__init__(pose, coefficients, len(rows.patches.basis), len(rows.points), more)
+        super().__init__(pose, coefficients, len(rows.patches.basis), len(rows.points), self._more_of(rows, shared))
         self.rows, self.name, self._share = rows, name, share * rows.share
         self._share_of_image = share
         self._matches = 0
@@ -336,6 +335,11 @@ class SurfacePointsFactor(SensedFactor):
             self._source = rows.kernel.PointSource(rows.compiled, self._share)
         self._matched: tuple[State, Match] | None = None
         self.weights = np.zeros(len(rows.points))
+
+    @staticmethod
+    def _more_of(rows: PointRows, shared: int | Array) -> list[tuple[int | Array, int]]:
+        """The further variables, with their numbers."""
+        return [] if rows.shared is Shared.NONE else [(shared, 2)]
 
     def _state(self, values: gtsam.Values) -> State:
         """Rotation, translation, coefficients and what points share at the values."""

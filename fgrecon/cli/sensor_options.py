@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
@@ -11,6 +12,7 @@ import typer
 
 from fgrecon.core.choices import DepthScale
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.parsing import parse_numbers
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.io.bag_drive import LidarTopic
@@ -43,7 +45,15 @@ class SensorOptions:
             rich_help_panel=_SENSORS,
         ),
     ] = None
-
+    lidar_sigma: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DEGREES,METRES",
+            help="How unsure that is: the cars of an image then tell how the LiDAR is turned and shifted (1 sigma).",
+            show_default="exact",
+            rich_help_panel=_SENSORS,
+        ),
+    ] = None
     depth: Annotated[
         str | None,
         typer.Option(
@@ -85,8 +95,20 @@ class SensorOptions:
         """
         from fgrecon.perception.sensor_source import SensorSource
 
-        made = SensorSource(camera=camera, **vars(self))
+        given = vars(self) | {"lidar_sigma": self._place_sigma()}
+        made = SensorSource(camera=camera, **given)
         return made if made.given else None
+
+    def _place_sigma(self) -> tuple[float, float]:
+        """In radians and metres; 0 where it is exact.
+
+        Raises:
+            InvalidInputError: It is no two numbers.
+        """
+        if self.lidar_sigma is None:
+            return (0.0, 0.0)
+        numbers = parse_numbers("lidar_sigma", self.lidar_sigma, "degrees,metres: two numbers", (2,))
+        return (math.radians(numbers[0]), float(numbers[1]))
 
     def of_video(self, video: str, camera: CameraSource) -> SensorSource | LidarTopic | None:
         """The same of a video: beside a bag what is no path is its topic.

@@ -53,6 +53,7 @@ class StereoPair:
 
 _LEAST_SIGMA, _LARGEST_SIGMA = 1e-4, 100.0  # metres
 _FARTHEST = 1e5  # metres: no sensor measures farther
+_MOST_UNSURE = 0.2, 1.0  # radians and metres by which a sensor's place is unsure: beyond, nobody knows where it is
 _FASTEST = 200.0  # metres per second: no vehicle drives faster
 
 
@@ -68,11 +69,15 @@ class Points:
             out. An array or a tensor.
         sigma: Standard deviation of a point along its ray, metres: one, or one for each point.
         origin: (3,) where the sensor is in the camera's frame, metres: which sides of a vehicle it saw.
+        place_sigma: How unsure it is where the sensor is and how it is turned, which all of its points have wrong
+            together: standard deviations of the turn about each axis in radians, and of the shift along it in metres.
+            The vehicles of an image then tell it (`Diagnostics.place_errors`).
     """
 
     points: NDArray[np.float64]
     sigma: float | NDArray[np.float64] = 0.02
     origin: ArrayLike = (0.0, 0.0, 0.0)
+    place_sigma: tuple[float, float] = (0.0, 0.0)
 
     __repr__ = brief_repr
 
@@ -95,6 +100,11 @@ class Points:
         object.__setattr__(self, "points", own(kept))
         object.__setattr__(self, "sigma", float(sigma) if sigma.ndim == 0 else own(sigma[finite]))
         object.__setattr__(self, "origin", own(as_finite("points.origin", self.origin, (3,))))
+        fix = "Give standard deviations, radians and metres, such as (0.01, 0.05)."
+        place = as_finite("points.place_sigma", self.place_sigma, (2,), fix)
+        if (place < 0.0).any() or (place > _MOST_UNSURE).any():
+            raise InvalidInputError("points.place_sigma", place.tolist(), fix)
+        object.__setattr__(self, "place_sigma", (float(place[0]), float(place[1])))
 
     def thinned(self, every: int) -> Points:
         """Each so-many-th of the points."""
@@ -103,7 +113,7 @@ class Points:
     def chosen(self, which: slice | NDArray[np.bool_]) -> Points:
         """Some of the points."""
         sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[which]
-        return Points(self.points[which], sigma, self.origin)
+        return Points(self.points[which], sigma, self.origin, self.place_sigma)
 
 
 @dataclass(frozen=True, eq=False)

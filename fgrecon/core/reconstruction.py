@@ -155,6 +155,10 @@ class Diagnostics(LazyFields):
     # together (`fgrecon.DepthCalibration`); of metric ones those of the inverse depth
     depth_scales: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     depth_covariances: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2, 2)))  # (Q, 2, 2) of these
+    # (S, 6) turn in radians and shift in metres, as Pose3.Expmap takes them, that take the points of each sensor of
+    # unsure place to where they are in the camera's frame, by all vehicles that were solved together
+    place_errors: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 6)))
+    place_covariances: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 6, 6)))  # (S, 6, 6) of these
 
     __repr__ = brief_repr
 

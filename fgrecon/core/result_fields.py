@@ -112,6 +112,8 @@ FIELDS: Mapping[str, ResultField] = {
     "evidence": ResultField("diagnostics", numbers, later=True, spare=True),
     "depth_scales": ResultField("diagnostics", shape=("Q", 2), later=True, spare=True),
     "depth_covariances": ResultField("diagnostics", shape=("Q", 2, 2), later=True, spare=True),
+    "place_errors": ResultField("diagnostics", shape=("S", 6), later=True, spare=True),
+    "place_covariances": ResultField("diagnostics", shape=("S", 6, 6), later=True, spare=True),
 }
 """By name, in the order of files."""
 
@@ -162,7 +164,7 @@ def check_shapes(values: Mapping[str, Any]) -> None:
     if not all(isinstance(name, str) for name in names):
         raise InvalidInputError("keypoint_names", names, f"{_FIX}: names are texts.")
     lengths = {"K": len(names), "N": np.size(values["coefficients"]), "P": len(values.get("points", ()))}
-    lengths["Q"] = len(values.get("depth_scales", ()))
+    lengths |= {"Q": len(values.get("depth_scales", ())), "S": len(values.get("place_errors", ()))}
     _check("", values, lengths)
     for name in ("pose_covariance", "size_covariance"):
         if values.get(name) is not None and not np.isfinite(values[name]).all():

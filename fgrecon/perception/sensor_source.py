@@ -35,6 +35,7 @@ class SensorSource:
 
     lidar: str | None = None  # points: a file, a folder with one for each image, of its name, or a pattern
     lidar_pose: Path | None = None  # file with the motion from the LiDAR's frame to the camera's
+    lidar_sigma: tuple[float, float] = (0.0, 0.0)  # how unsure that is, radians and metres (`Points.place_sigma`)
     masks: str | None = None  # masks of the vehicles: as `lidar`, or COCO JSON of all images
     camera: CameraSource = field(default_factory=CameraSource)  # what is given of the camera
     depth: str | None = None  # depth maps, in the same way
@@ -48,6 +49,8 @@ class SensorSource:
         Raises:
             InvalidInputError: There is a pose but no LiDAR, or there are no files.
         """
+        if self.lidar is None and any(self.lidar_sigma):
+            raise InvalidInputError("lidar_sigma", self.lidar_sigma, "Give the LiDAR's points as well (--lidar).")
         if self.lidar is None and self.lidar_pose is not None:
             raise InvalidInputError("lidar_pose", str(self.lidar_pose), "Give the LiDAR's points as well (--lidar).")
         if self.depth is None and (self.depth_inverse or self.depth_scale is not DepthScale.METRIC):
@@ -65,6 +68,8 @@ class SensorSource:
         names = "lidar", "lidar_pose", "masks", "depth", "right"
         given = {name: one for name in names if (one := getattr(self, name)) is not None}
         found = {name: str(Path(one).absolute()) for name, one in given.items()}
+        if any(self.lidar_sigma):
+            found["lidar_sigma"] = "{:g},{:g}".format(*self.lidar_sigma)
         if self.depth is not None:
             found |= {"depth_scale": self.depth_scale.value, "depth_inverse": str(self.depth_inverse).lower()}
         return found
@@ -105,7 +110,8 @@ class SensorSource:
         for one, file in given:
             if one.field == "lidar":
                 place = lidar_place(file, path, self.camera, self.lidar_pose)
-                found.append(Points(read_points(file, place), origin=_origin(place)))
+                points = read_points(file, place)
+                found.append(Points(points, origin=_origin(place), place_sigma=self.lidar_sigma))
             elif one.field == "masks":
                 found += read_masks(file, path)
             elif one.field == "depth":

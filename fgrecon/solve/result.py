@@ -46,6 +46,7 @@ from fgrecon.solve.graph.records import graph_factors, iterations
 from fgrecon.solve.pose_probability import facing_by_energies, with_probabilities
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
+from fgrecon.solve.proposals.scaled_depth import ScaledDepth
 from fgrecon.solve.solve_settings import STATUS
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
 from fgrecon.solve.weakness import weaknesses
@@ -81,7 +82,7 @@ def marginalise(graph: Graph, optimum: Optimum, at_once: Collection[int] | None 
         parts = [part for i, part in enumerate(graph.observations) if i in at_once]
         keys = {part.pose_key for part in parts if part.pose_key is not None}
         keys |= {key for vehicle in graph.vehicles.values() for key in vehicle.shape.keys}
-        keys |= graph.shared.maps.keys()
+        keys |= graph.shared.known.keys()
     return Marginalised(values, weights, marginals_of(graph, values, weights, keys))
 
 
@@ -143,7 +144,7 @@ def results(
             "points": points,
             "point_weights": point_weights,
             "evidence": gained,
-            **_depth_scales(graph, known, i),
+            **_shared_errors(graph, known, i),
         }
         found.append(_result(end, diagnostics))
     return found
@@ -164,18 +165,24 @@ def _gained(
     return found
 
 
-def _depth_scales(graph: Graph, known: Marginalised, index: int) -> dict[str, Array]:
-    """Scale and shift (Q, 2) of each depth map that an observation shares, and their covariances (Q, 2, 2)."""
-    keys = [key for key in graph.shared.of(graph.observations[index]) if known.values.exists(key)]
-    if not keys:
-        return {}
-    found = []
-    for key in keys:
-        covariance, depth = covariance_of(known.marginals, key), graph.shared.maps[key]
-        unknown = np.full((2, 2), np.nan) if covariance is None else covariance
-        found.append(depth.calibrated(known.values.atVector(key), unknown))
-    scales = np.array([(scale, shift) for scale, shift, _ in found])
-    return {"depth_scales": scales, "depth_covariances": np.array([one for _, _, one in found])}
+def _shared_errors(graph: Graph, known: Marginalised, index: int) -> dict[str, Array]:
+    """Scale and shift (Q, 2) of each depth map, and errors (S, 6) of sensors' places, that an observation shares.
+
+    Each with their covariances.
+    """
+    found: dict[str, list[Array]] = {}
+    for key in graph.shared.of(graph.observations[index]):
+        if known.values.exists(key):
+            variables, shared = known.values.atVector(key), graph.shared.known[key]
+            covariance = covariance_of(known.marginals, key)
+            unsure = np.full(2 * (len(variables),), np.nan) if covariance is None else covariance
+            names = "place_errors", "place_covariances"
+            if isinstance(shared, ScaledDepth):
+                scale, shift, unsure = shared.calibrated(variables, unsure)
+                names, variables = ("depth_scales", "depth_covariances"), np.array([scale, shift])
+            for name, value in zip(names, (variables, unsure), strict=True):
+                found.setdefault(name, []).append(value)
+    return {name: np.array(values) for name, values in found.items()}
 
 
 def pose_history(

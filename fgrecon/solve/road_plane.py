@@ -46,7 +46,17 @@ def ground_by_points(
     plane = _plane(cells, given) if len(cells) >= ROAD.least_cells else None
     if plane is None:
         return given
-    return replace(plane, tilt_sigma=plane.tilt_sigma if given is None else min(given.tilt_sigma, plane.tilt_sigma))
+    places = np.array([one.place_sigma for one in evidence if isinstance(one, Points)]).reshape(-1, 2)
+    turn, shift = places.max(axis=0, initial=0.0)
+    unsure = replace(
+        plane,
+        slope_sigma=float(np.hypot(plane.slope_sigma, turn)),
+        height_sigma=float(np.hypot(plane.height_sigma, shift)),
+    )
+    if given is None:
+        return unsure
+    surer = unsure.height_sigma <= given.height_sigma and unsure.slope_sigma <= given.slope_sigma
+    return replace(unsure, tilt_sigma=min(given.tilt_sigma, plane.tilt_sigma)) if surer else given
 
 
 def _metric(one: Evidence, disabled: Collection[str]) -> TypeGuard[Points | DepthMap]:

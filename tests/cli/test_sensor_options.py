@@ -120,3 +120,24 @@ def test_masks_of_an_image_are_the_vehicles(sample, tmp_path):
     assert done.exit_code == 0, done.output
     kinds = [one["result"]["evidence"] for one in json.loads((tmp_path / "m.json").read_text())["instances"]]
     assert all(one["mask"] > 1.0 for one in kinds)
+
+
+def test_a_lidar_of_unsure_place_is_told_by_the_cars(sample, tmp_path):
+    given = (
+        "reconstruct",
+        sample / "cars.json",
+        "--image",
+        sample / "street.png",
+        "--together",
+        "--lidar-sigma",
+        "0.5,0.02",
+    )
+    refused = run(*given)
+    assert isinstance(refused.exception, InvalidInputError)
+    assert refused.exception.field == "lidar_sigma"
+    done = run(*given, "--lidar", sample / "street.npz", "--json", tmp_path / "a.json")
+    assert done.exit_code == 0, done.output
+    errors = [one["result"]["place_errors"] for one in json.loads((tmp_path / "a.json").read_text())["instances"]]
+    assert errors[0] == errors[1] == errors[2]
+    assert np.abs(np.array(errors[0])).max() < 0.02, "it is where it is said to be"
+    assert run(*given[:-1], "0.5", "--lidar", sample / "street.npz").exception.field == "lidar_sigma"

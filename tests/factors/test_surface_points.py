@@ -12,6 +12,7 @@ from gtsam.utils.numerical_derivative import numericalDerivative11
 from factors import D, L, X
 from factors.mixture import Form
 from factors.native import native
+from factors.placed_points import PlacedPointsFactor
 from factors.surface_patches import SurfacePatches
 from factors.surface_points import PointOdds, PointRows, Shared, SurfacePointsFactor
 
@@ -136,6 +137,39 @@ def test_the_jacobian_is_the_numeric_one(kind: PointRows, form: Form) -> None:
     ]  # fmt: skip
     if form is Form.MAJORISED:
         assert gradient == pytest.approx(np.array(slope), rel=1e-4, abs=1e-3)
+
+
+@pytest.mark.parametrize("form", [Form.WEIGHTED, Form.MAJORISED])
+def test_points_of_a_sensor_whose_place_is_unsure_are_those_of_one_that_is_moved(rows: PointRows, form: Form) -> None:
+    error = np.array([0.01, -0.02, 0.015, 0.04, -0.03, 0.05])
+    factor = PlacedPointsFactor(rows, X(0, 0), L(0), D(0))
+    values = at(rows, CHANGE, np.array([0.3, -0.5]))
+    values.insert(D(0), error)
+    factor.look(values)
+    factor.tell(Form.WEIGHTED)
+    found, jacobian = factor(values, want_jacobian=True)
+
+    def residual(key: int, value: object) -> np.ndarray:
+        return factor(_with(values, key, value), want_jacobian=False)[0]
+
+    numeric = [numericalDerivative11(lambda pose: residual(X(0, 0), pose), values.atPose3(X(0, 0)))]
+    numeric += [
+        numericalDerivative11(lambda x, key=key: residual(key, x), values.atVector(key)) for key in (L(0), D(0))
+    ]
+    assert jacobian == pytest.approx(np.hstack(numeric), rel=1e-5, abs=2e-5)
+    moved = gtsam.Pose3.Expmap(error).matrix()
+    points = rows.points @ moved[:3, :3].T + moved[:3, 3]
+    there = bound(replace(rows, points=points, origin=moved[:3, 3]))
+    there.look(values)
+    there.tell(form)
+    factor.tell(form)
+    found, by = factor(values, want_jacobian=True)
+    expected, wanted = there(values, want_jacobian=True)
+    assert found == pytest.approx(expected, abs=1e-6)
+    assert by is not None
+    assert by[:, :8] == pytest.approx(wanted, abs=1e-6)
+    assert factor.points == pytest.approx(points)
+    assert factor.energy(values) == pytest.approx(there.energy(values))
 
 
 def _with(values: gtsam.Values, key: int, value: object) -> gtsam.Values:

@@ -40,6 +40,11 @@ HOW: dict[str, Any] = {"ground": Ground.level(1.65), "options": OPTIONS}
 
 @pytest.fixture(name="street", scope="module")
 def _street() -> tuple[list[Observation], np.ndarray]:
+    """As `street_of`."""
+    return street_of()
+
+
+def street_of() -> tuple[list[Observation], np.ndarray]:
     """What a network says of three cars of different sizes, and the depth (H, W) of them, the road and a wall."""
     rng = np.random.default_rng(0)
     row, column = np.mgrid[: SIZE[1], : SIZE[0]]

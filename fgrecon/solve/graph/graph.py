@@ -27,7 +27,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 from fgrecon.solve.graph.sensed_part import common_factor, sensed_of
-from fgrecon.solve.graph.shared_depths import SHARED, SharedDepths
+from fgrecon.solve.graph.shared_errors import SharedErrors
 from fgrecon.solve.graph.vehicle_part import ShapeValues, Terms, VehiclePart, is_any_fleets, vehicle_part
 from fgrecon.solve.proposals.problem import Problem
 
@@ -138,7 +138,7 @@ class Graph:
                     focal_free=state.others.exists(F(one.image)),
                 )
             )
-        self.shared = SharedDepths(self.observations, free=pose_free and not hold_shape)
+        self.shared = SharedErrors(self.observations, free=pose_free and not hold_shape)
         parts = enumerate(self.observations)
         each = [(i, found, found.factor()) for i, part in parts for found in sensed_of(part, self.shared)]
         self.sensed: list[SensedFactor] = [found for _, found, _ in each]
@@ -146,7 +146,7 @@ class Graph:
         self._sensed_by = [index for index, _, _ in each]
         self._own_keys = {part.pose_key for part in self.observations if part.pose_key is not None}
         self._own_keys |= {key for vehicle in self.vehicles.values() for key in vehicle.keys}
-        keys = self._own_keys | set(state.others.keys()) | self.shared.maps.keys()
+        keys = self._own_keys | set(state.others.keys()) | self.shared.known.keys()
         self.extra = [factor for factor in extra if keys.issuperset(factor.keys())]
         if pose_free and not hold_shape and len(self.extra) < len(extra):
             unknown = {key for factor in extra for key in list(factor.keys())} - keys
@@ -163,9 +163,7 @@ class Graph:
         for number, vehicle in self.vehicles.items():
             vehicle.insert(values, *state.shapes[number])
         values.insert(state.others)
-        for key in self.shared.maps:
-            if not values.exists(key):
-                values.insert(key, np.zeros(2))
+        self.shared.insert_missing(values)
         return values
 
     def read(self, values: gtsam.Values, weights: Sequence[Weights]) -> State:
@@ -362,8 +360,7 @@ class Graph:
         for name in dict.fromkeys(one.name for one in self.sensed):
             pairs = zip(self.sensed, self._sensed_factors, strict=True)
             yield name, [factor for one, factor in pairs if one.name == name]
-        if self.shared.priors:
-            yield SHARED, self.shared.priors
+        yield from self.shared.terms.items()
         if self.extra:
             yield EXTRA, self.extra
 
@@ -375,8 +372,8 @@ class Graph:
                 energies[name] = energies.get(name, 0.0) + energy
         for one in self.sensed:
             energies[one.name] = energies.get(one.name, 0.0) + one.energy(values)
-        if self.shared.priors:
-            energies[SHARED] = sum(prior.error(values) for prior in self.shared.priors)
+        for name, priors in self.shared.terms.items():
+            energies[name] = sum(prior.error(values) for prior in priors)
         if self.extra:
             energies[EXTRA] = sum(factor.error(values) for factor in self.extra)
         return energies

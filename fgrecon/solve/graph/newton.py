@@ -76,7 +76,7 @@ class Descent:
         self._still = False  # whether the last damped step moved nothing
         self._in_vain = 0  # damped steps, one after the other, that gained a negligible energy
         self._swinging = _Swinging(len(start.weights))
-        self._shared = not start.others.empty() or bool(graph.shared.maps)
+        self._shared = not start.others.empty() or bool(graph.shared.known)
         self._steady = NEWTON.steady if steady is None else steady
 
     def run(self) -> None:

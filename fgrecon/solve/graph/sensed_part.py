@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.distance_field import DistanceField
+from factors.placed_points import PlacedPointsFactor
 from factors.sensed import SensedFactor
 from factors.silhouette import SilhouetteFactor, SilhouetteOdds, SilhouetteRows
 from factors.surface_points import NOTHING_SHARED, SurfacePointsFactor
@@ -18,14 +19,15 @@ from fgrecon.core.evidence import Range
 from fgrecon.core.mask import Mask, joined
 from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.observation_part import ObservationPart
-from fgrecon.solve.graph.shared_depths import SharedDepths
+from fgrecon.solve.graph.shared_errors import SharedErrors
 from fgrecon.solve.proposals.search_settings import SETTINGS as SEARCH
+from fgrecon.solve.proposals.unsure_place import UnsurePlace
 
 Array = NDArray[np.float64]
 MASKS = SETTINGS.masks
 
 
-def sensed_of(part: ObservationPart, shared: SharedDepths) -> list[SensedFactor]:
+def sensed_of(part: ObservationPart, shared: SharedErrors) -> list[SensedFactor]:
     """What is given beside the keypoints of an observation; nothing where pose and shape are constants."""
     shape, observation = part.vehicle.shape, part.problem.observation
     if not observation.evidence or not (part.pose_key is not None or shape.coefficients_key is not None):
@@ -36,9 +38,12 @@ def sensed_of(part: ObservationPart, shared: SharedDepths) -> list[SensedFactor]
     off, model = part.problem.options.disabled_terms, part.problem.model
     found: list[SensedFactor] = []
     for points in part.problem.energy.points:
-        key = shared.key(part, points.depth)
-        by = NOTHING_SHARED if key is None else key
-        found.append(SurfacePointsFactor(points.rows, pose, coefficients, by, part.share, points.name))
+        key = shared.key(part, points)
+        if isinstance(points.shared, UnsurePlace) and key is not None:
+            found.append(PlacedPointsFactor(points.rows, pose, coefficients, key, part.share, points.name))
+        else:
+            by = NOTHING_SHARED if key is None else key
+            found.append(SurfacePointsFactor(points.rows, pose, coefficients, by, part.share, points.name))
     if RangeFactor.name not in off:
         size = model.dimension_mean, model.dimension_basis
         for one in observation.evidence:

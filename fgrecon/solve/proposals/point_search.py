@@ -19,6 +19,7 @@ from fgrecon.solve.proposals.search import SearchResult, search
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.starts import at_azimuths, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
+from fgrecon.solve.proposals.unsure_place import UnsurePlace
 
 Array = NDArray[np.float64]
 
@@ -44,11 +45,13 @@ def search_with_points(problem: Problem, pictured: Hypotheses) -> SearchResult:
 def _unsure(term: PointTerm) -> PointRows:
     """The points, which the search leaves where they are, unsure by what they share as well."""
     rows = term.rows
-    if term.depth is None:
+    if term.shared is None:
         return rows
+    if isinstance(term.shared, UnsurePlace):
+        return replace(rows, sigma=np.hypot(rows.sigma, term.shared.off(rows.points)))
     depth = rows.points[:, 2]
     by = np.stack([depth, np.ones(len(depth)) if rows.shared is Shared.DEPTH else depth**2], axis=1)
-    variance = np.einsum("ij,jk,ik->i", by, term.depth.covariance, by)
+    variance = np.einsum("ij,jk,ik->i", by, term.shared.covariance, by)
     stretch = np.linalg.norm(rows.points, axis=1) / depth
     return replace(rows, along=np.sqrt(rows.along**2 + stretch**2 * variance))
 

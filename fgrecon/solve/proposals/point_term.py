@@ -22,6 +22,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.solve.proposals.scaled_depth import ScaledDepth, scaled_depth
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import Hypotheses, Quadratic
+from fgrecon.solve.proposals.unsure_place import UnsurePlace
 from fgrecon.solve.vehicle.model import VehicleModel
 
 Array = NDArray[np.float64]
@@ -43,8 +44,8 @@ class PointTerm:
 
     rows: PointRows  # the points about the vehicle
     name: str = POINTS_NAME  # what measured them
-    # the depth map that they are of, whose pixels share variables; None where they share nothing
-    depth: ScaledDepth | None = None
+    # the depth map, or the sensor's place, by which they are wrong together; None where they share nothing
+    shared: ScaledDepth | UnsurePlace | None = None
 
     def add(self, total: Quadratic, h: Hypotheses) -> None:
         """Add this term."""
@@ -82,8 +83,9 @@ def point_terms(observation: Observation, camera: Camera, model: VehicleModel) -
     if prior.surface is None or box is None:
         return ()
     found: list[PointTerm] = []
-    given = [one for one in observation.evidence if isinstance(one, Points)]
-    if given:
+    every = [one for one in observation.evidence if isinstance(one, Points)]
+    for place in dict.fromkeys(map(UnsurePlace.of, every)):
+        given = [one for one in every if UnsurePlace.of(one) == place]
         points, sigma, origin = [], [], np.asarray(given[0].origin, dtype=np.float64)
         for one in given:
             index = _about(one, box, camera)
@@ -93,7 +95,7 @@ def point_terms(observation: Observation, camera: Camera, model: VehicleModel) -
         if len(kept) > POINTS.most_points:
             index = np.linspace(0, len(kept) - 1, POINTS.most_points).astype(np.intp)
             kept, noise = kept[index], noise[index]
-        found.append(PointTerm(_rows(kept, noise, np.zeros(len(kept)), origin, model)))
+        found.append(PointTerm(_rows(kept, noise, np.zeros(len(kept)), origin, model), POINTS_NAME, place))
     for depth in observation.evidence:
         if isinstance(depth, DepthMap):
             scaled = scaled_depth(depth)

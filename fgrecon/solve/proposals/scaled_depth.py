@@ -8,6 +8,7 @@ for the depth z of a pixel by what is known of scale and shift; the vehicles of 
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -31,6 +32,11 @@ class ScaledDepth:
     calibration: DepthCalibration  # about what its numbers are
     shared: Shared  # what the variables are
     covariance: Array  # (2, 2) of the variables
+
+    @property
+    def key(self) -> Hashable:
+        """The same for all pixels of the map."""
+        return id(self.given)
 
     def metres(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
         """(M,) depths of pixels, metres; NaN where there is none."""
