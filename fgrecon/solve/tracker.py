@@ -47,6 +47,7 @@ from fgrecon.solve.inputs import (
     evidence_of,
     observe,
 )
+from fgrecon.solve.proposals.point_term import with_its_points
 from fgrecon.solve.result import marginalise, results
 from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.solve_settings import GROUND_FILTER
@@ -253,7 +254,7 @@ class Tracker:
         warn_of(doubts, stacklevel=5)
         scaled = with_scales([*found.values()], camera, self._setup)
         coupled = couple_facings(scaled, camera, self._setup.prior, self._setup.options)
-        return dict(zip(found, coupled, strict=True)), refused
+        return dict(zip(found, (with_its_points(one, camera) for one in coupled), strict=True)), refused
 
     @single_threaded
     def smooth(self, vehicles: Iterable[int] | None = None) -> dict[int, Sequence[VehicleEstimate]]:

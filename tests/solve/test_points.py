@@ -29,6 +29,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.inputs import SolveSetup
+from fgrecon.solve.proposals.point_term import with_its_points
 from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.visibility import clearance, probability
@@ -178,6 +179,15 @@ def test_over_images_and_over_time() -> None:
     for i, (one, points) in enumerate(frames):
         estimates = tracker.update(i / 10.0, {7: one}, camera=CAMERA, ground=1.65, evidence=[Points(points)])
     assert np.linalg.norm(estimates[7].reconstruction.location - places[-1]) < 0.3
+    kept = [one.problem.observation.evidence[0].points for one in tracker._tracks[7].vehicle.past]
+    assert max(map(len, kept)) <= len(estimates[7].reconstruction.diagnostics.points) + 20 < len(frames[0][1])
+    (seen, points), far = frames[-1], np.array([[30.0, 1.0, 40.0], [0.0, 1.0, 90.0]])
+    own = with_its_points(seen.with_evidence([Points(np.concatenate([far, points]))]), CAMERA)
+    assert with_its_points(own, CAMERA).evidence[0].points.tolist() == own.evidence[0].points.tolist()
+    how = {"size_prior": "kitti", "options": OPTIONS}
+    both = Points(np.concatenate([far, points])), own.evidence[0]
+    first, again = (reconstruct(seen, CAMERA, evidence=[one], **how) for one in both)
+    assert (first.diagnostics.points == again.diagnostics.points).all()
 
 
 def test_points_of_another_frame_are_refused() -> None:

@@ -6,7 +6,7 @@ is generous on purpose: which of them are the vehicle's is decided by the energy
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -16,7 +16,7 @@ from factors.surface_patches import SurfacePatches
 from factors.surface_points import PointRows, Shared
 from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.depth_map import DepthMap
-from fgrecon.core.evidence import Points
+from fgrecon.core.evidence import Evidence, Points
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.solve.proposals.scaled_depth import ScaledDepth, scaled_depth
@@ -159,6 +159,19 @@ def patches_of(prior: ShapePrior) -> SurfacePatches:
     """The patches of a prior's surface, made once."""
     assert prior.surface is not None
     return SurfacePatches.of(prior.surface.mean, prior.surface.basis, prior.surface.faces)
+
+
+def with_its_points(observation: Observation, camera: Camera) -> Observation:
+    """The observation with those alone of its points that its vehicle uses: a scan of each frame is much to keep."""
+    box, some = observation.place, list[Evidence]()
+    for one in observation.evidence:
+        if isinstance(one, Points):
+            used = np.zeros(len(one.points), dtype=bool)
+            used[() if box is None else _about(one, box, camera)] = box is not None
+            some.append(one.chosen(used))
+        else:
+            some.append(one)
+    return replace(observation, evidence=tuple(some)) if some else observation
 
 
 def _about(given: Points, box: Array, camera: Camera) -> NDArray[np.intp]:
