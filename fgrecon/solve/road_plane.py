@@ -78,7 +78,7 @@ def _lowest(one: Points | DepthMap, camera: Camera) -> Array:
         points, cell = points[order], (row * 4096 + column)[order]
         start = np.flatnonzero(np.diff(cell, prepend=-1))
         count = np.diff([*start, len(cell)])
-        known = points[start + np.floor(ROAD.lowest_share * (count - 1)).astype(np.int64)][count >= ROAD.cell_points]
+        known = points[start + np.floor(ROAD.lowest_share * (count - 1)).astype(np.int64)]
         _cells[one] = known
     return known
 

@@ -104,7 +104,6 @@ class RoadSettings:
     depth_m: tuple[float, float] = (3.0, 60.0)  # between which points are looked at
     side_m: float = 15.0  # to either side
     cell_m: float = 1.0  # side of a cell
-    cell_points: int = 2  # that a cell needs
     lowest_share: float = 0.9  # of its points that are above the one that is taken
     pixels: int = 20000  # of a depth map
     start_percentile: float = 80.0  # of the heights of near cells: a first guess where no ground is given
