@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fgrecon.cli.terminal import Screen
-from fgrecon_research.cli.training.keypoints_report import marks_document, print_marks
+from fgrecon_research.cli.training.keypoints import marks_document, print_marks
 from fgrecon_research.training.keypoints.evaluate import Scored, localisation
 from fgrecon_research.training.keypoints.marks import Mark
 
