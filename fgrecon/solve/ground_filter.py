@@ -31,7 +31,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.ground_evidence import GroundEvidence
 from fgrecon.solve.image_ground import ground_spread, observed_ground, own_deviations
-from fgrecon.solve.solve_settings import GROUND_FILTER, SCENE
+from fgrecon.solve.solve_settings import GROUND_FILTER, ROAD, SCENE
 from fgrecon.solve.time.camera_drift import CameraDrift
 from fgrecon.solve.time.time_settings import SETTINGS
 
@@ -50,6 +50,7 @@ class CameraFrame:
     # where it is exact
     motion_covariance: Array | None = None
     drift: CameraDrift = field(default_factory=CameraDrift)  # how far the camera may be astray
+    sensed: bool = False  # whether measured points say where the ground is
 
     def motion_from(self, before: CameraFrame) -> gtsam.Pose3 | None:
         """camera_before_T_camera_now; None where that is not known."""
@@ -77,6 +78,7 @@ class _Nominal:
 
     plane: Ground
     given: bool = True
+    sensed_s: float | None = None  # when measured points said so, seconds; None where they have not
 
     @property
     def spread(self) -> Array:
@@ -178,7 +180,8 @@ class GroundFilter:
     def _before(self, frame: CameraFrame, nominal: _Nominal) -> tuple[_Known, float]:
         """What is known of the ground of a frame before its vehicles speak, and by which share these count."""
         past = self.past
-        if past is not None and (past.nominal.given or not nominal.given):
+        alike = past is not None and (past.nominal.sensed_s is None) == (nominal.sensed_s is None)
+        if past is not None and (not nominal.given or (past.nominal.given and alike)):
             moved, before = _moved(past, frame, nominal), past.known
             known = _known(lambda: (_on_road(before.where, moved), _on_road(before.counted, moved)))
             if known is not None:
@@ -189,22 +192,31 @@ class GroundFilter:
         return _first(nominal)
 
     def _nominal(self, frame: CameraFrame) -> _Nominal | None:
-        """About where the ground of a frame is: as is given, else where it was; None where that is open."""
+        """About where the ground of a frame is: as is given, else where it was; None where that is open.
+
+        Where points said it shortly before, and now none are there, it is where it was as well.
+        """
+        last = None if self.past is None or frame.sensed else self.past.nominal.sensed_s
+        held = last is not None and frame.time - last < ROAD.held_s
+        if (frame.ground is None or held) and (carried := self._carried(frame, given=held)) is not None:
+            return carried
+        return None if frame.ground is None else _Nominal(frame.ground, sensed_s=frame.time if frame.sensed else None)
+
+    def _carried(self, frame: CameraFrame, *, given: bool) -> _Nominal | None:
+        """Where the ground was in the frame before, as it is seen from this one; None where that is open."""
         past = self.past
-        if frame.ground is not None:
-            return _Nominal(frame.ground)
         if past is None:
             return None
         motion = frame.motion_from(past.frame)
         if motion is None:
             same = np.array_equal(past.frame.camera.matrix, frame.camera.matrix)
-            return replace(past.nominal, given=False) if same else None
+            return replace(past.nominal, given=given) if same else None
         here = replace(past.nominal.plane, normal=past.ground.normal, distance=past.ground.distance)
         normal = motion.rotation().matrix().T @ here.normal
         if normal[1] <= SCENE.least_normal_down:  # it looks upside down
             return None
         distance = max(here.distance - float(here.normal @ motion.translation()), SCENE.least_camera_height_m)
-        return _Nominal(replace(here, normal=normal, distance=distance), given=False)
+        return replace(past.nominal, plane=replace(here, normal=normal, distance=distance), given=given)
 
 
 def _first(nominal: _Nominal) -> tuple[_Known, float]:

@@ -114,6 +114,7 @@ class RoadSettings:
     least_spread_m: tuple[float, float] = (2.5, 8.0)  # across and along, of nine tenths of them
     correlated_cells: float = 9.0  # so many count as one
     typical_m: float = 15.0  # depth where heights are least tied to slopes
+    held_s: float = 1.0  # for which it stays the ground of a tracker's frames without points
     excluded_sigmas: float = 12.0  # of a given ground, by which the plane may differ from it: roads are banked
 
 

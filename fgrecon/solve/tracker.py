@@ -169,12 +169,13 @@ class Tracker:
         place = None if world_T_camera is None else gtsam.Pose3(as_camera_pose(world_T_camera))
         moved = None if motion_covariance is None else as_motion_covariance(motion_covariance)
         sensed = evidence_of(evidence, used, of_all=True)
-        plane = ground_by_points(sensed, plane, used, self._setup.options.disabled_terms)
+        given, plane = plane, ground_by_points(sensed, plane, used, self._setup.options.disabled_terms)
         with self._one_call:
             cameras = self._cameras_at(time, used, place)
             # Noise that grows with time must not vanish: frames of one time are a microsecond apart.
             clock = max(time, self._clock + GROUND_FILTER.shortest_s)
-            frame = CameraFrame(clock, used, plane, place, moved, self._drift.moved(place, moved))
+            drift = self._drift.moved(place, moved)
+            frame = CameraFrame(clock, used, plane, place, moved, drift, sensed=plane is not given)
             found = self._update(frame, time, observations, sensed)
             self._time, self._clock, self._cameras, self._drift = time, clock, cameras, frame.drift
             return found

@@ -292,3 +292,21 @@ def test_vehicles_on_one_road_are_better_placed_together_though_nothing_is_told(
                 found = tracker.update(0.1 * t, given, camera=CAMERA)
             off_by += [np.linalg.norm(found[i].reconstruction.location - pose[:3, 3]) for i, pose in enumerate(poses)]
     assert np.mean(errors[True]) < 0.85 * np.mean(errors[False])
+
+
+@pytest.mark.parametrize("given", [None, TOLD])
+def test_what_points_said_of_it_holds_for_a_while_without_points(given):
+    banked = Ground(np.array([0.05, 1.0, -0.01]), 1.7, height_sigma=0.05, slope_sigma=0.006)
+    video = Video()
+    later(video, 0.0, TOLD, None, Saying(SLOPE))
+    first = later(video, 0.1, banked, None, Silent(), sensed=True).ground
+    np.testing.assert_allclose(first.normal, banked.normal, atol=1e-9)
+    between = later(video, 0.3, given, None, Silent()).ground
+    np.testing.assert_allclose(between.normal, banked.normal, atol=1e-6)
+    assert between.height_sigma == pytest.approx(banked.height_sigma, rel=0.05)
+    again = later(video, 0.4, Ground.level(1.6), None, Silent(), sensed=True).ground
+    assert again.distance == pytest.approx(1.6, abs=0.01)
+    much_later = later(video, 9.0, given, None, Silent())
+    if given is not None:
+        np.testing.assert_allclose(much_later.ground.normal, TOLD.normal, atol=1e-9)
+        assert much_later.ground.slope_sigma == pytest.approx(TOLD.slope_sigma, rel=0.01)
