@@ -124,12 +124,11 @@ def view_of(folder: Path, uploaded: Uploaded, requested: Requested, models: Path
             meshes = {name: one.model for name, one in known.items()}
             files["models.glb"] = glb_bytes([item for item in posed if item.name in known], meshes)
         files["above.png"] = _above(solved, camera, (width, height))
-    lens = {} if camera.distortion is None else {"distortion": camera.distortion.tolist()}
     return PageView(
         size=(round(width), round(height)),
         photograph=b"" if pixels is None else jpeg(pixels, _QUALITY),
         cars=[_car(number, outcome) for number, outcome in enumerate(solved.outcomes)],
-        camera={"K": camera.matrix.tolist(), "image_size": [round(width), round(height)], **lens},
+        camera={"K": camera.matrix.tolist(), "image_size": [round(width), round(height)], **camera.lens_fields},
         horizon=_horizon(solved, camera, width),
         warnings=[line.replace(f"{folder}/", "") for line in solved.warnings],
         files=files,

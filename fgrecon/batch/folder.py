@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from fgrecon.batch.parts import RUN, Parts
 from fgrecon.batch.rows import id_in_image, reconstruction_of, table_of
 from fgrecon.batch.schema import result_schema
-from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.camera import Camera, Ground, lens_of
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.serialise import well_formed
@@ -80,7 +80,7 @@ def _place(row: Mapping[str, Any]) -> tuple[str, int, int]:
 def _named(row: Mapping[str, Any], category: Category, surfaces: Surfaces, ground: Ground | None) -> NamedResult:
     result = reconstruction_of(row, category)
     assert result is not None
-    distortion, size, box = row["distortion"], row["image_size"], row["box"]
+    size, box = row["image_size"], row["box"]
     return NamedResult(
         name=row["id"],
         result=surfaces.complete(result),
@@ -89,9 +89,9 @@ def _named(row: Mapping[str, Any], category: Category, surfaces: Surfaces, groun
         row=row["row_id"],
         camera=Camera(
             np.array(row["camera_matrix"]).reshape(3, 3),
-            None if distortion is None else np.array(distortion),
-            None if size is None else (size[0], size[1]),
+            image_size=None if size is None else (size[0], size[1]),
             focal_sigma=row.get("focal_sigma") or 0.0,
+            **lens_of(row),
         ),
         ground=ground,
         score=row["score"],

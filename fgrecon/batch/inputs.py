@@ -262,8 +262,7 @@ def _kitti_camera(source: InputFile) -> str | None:
 
 
 def _as_json(camera: Camera) -> str:
-    lens = {} if camera.distortion is None else {"distortion": camera.distortion.tolist()}
-    return json.dumps({"K": camera.matrix.tolist(), **lens})
+    return json.dumps({"K": camera.matrix.tolist(), **camera.lens_fields})
 
 
 _RECORDS = _Reader(_count_records, _record_rows)

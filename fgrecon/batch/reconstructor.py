@@ -18,7 +18,7 @@ from fgrecon.batch.rows import failed_row, given_of, id_in_image, origin_of, sol
 from fgrecon.batch.schema import EMPTY, LEFT_OUT
 from fgrecon.batch.tasks import nested, record_of
 from fgrecon.batch.vehicle_tasks import KeypointRequest, check_of_file, tasks_in_boxes
-from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.camera import Camera, Ground, lens_of
 from fgrecon.core.checks import as_finite
 from fgrecon.core.choices import ClassSource
 from fgrecon.core.errors import InvalidInputError
@@ -280,8 +280,7 @@ def _place(task: Mapping[str, Any]) -> Path:
 
 def _camera(fields: Mapping[str, Any]) -> Camera:
     """A camera from the fields that a keypoint file has for it."""
-    distortion = fields.get("distortion")
-    return Camera(np.array(fields["K"]), None if distortion is None else np.array(distortion))
+    return Camera(np.array(fields["K"]), **lens_of(fields))
 
 
 def _given(boxes: Iterable[Iterable[float]], image: NDArray[np.uint8]) -> list[NamedBox]:

@@ -79,6 +79,7 @@ def solved_row(
         "camera_matrix": _flat(camera.matrix),
         "focal_sigma": camera.focal_sigma,
         "distortion": _flat(camera.distortion),
+        "distortion_model": None if camera.distortion is None else camera.distortion_model,
         "image_size": camera.image_size,
         "box_excess": finite(result.diagnostics.box_excess),
         "left_out": list(result.diagnostics.left_out),

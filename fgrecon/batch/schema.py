@@ -52,6 +52,7 @@ def result_schema() -> Any:
         ("reasons", pa.list_(_TEXT)),
         ("regions", _TEXT),
         *((name, _NUMBERS) for name in ("camera_matrix", "distortion")),
+        ("distortion_model", _TEXT),
         ("image_size", pa.list_(pa.int32())),
         ("box", _NUMBERS),
         ("score", _NUMBER),

@@ -1,8 +1,9 @@
-"""Pinhole camera with optional OpenCV lens distortion, and the ground plane seen from it."""
+"""Pinhole camera with an optional lens (OpenCV's or a fisheye), and the ground plane seen from it."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import unit_vector
+from fgrecon.core import lens
 from fgrecon.core.checks import as_either, as_finite, as_vectors, own
 from fgrecon.core.errors import InvalidInputError
 
@@ -40,11 +42,12 @@ class Camera:
 
     Attributes:
         matrix: (3, 3) upper triangular intrinsics K with last row (0, 0, 1); a skew is allowed.
-        distortion: OpenCV distortion coefficients (4, 5, 8, 12 or 14 numbers), or None.
+        distortion: OpenCV distortion coefficients (4, 5, 8, 12 or 14 numbers), those of another lens, or None.
         image_size: (width, height) in pixels where known, else None.
         focal_sigma: Standard deviation of the focal lengths' logarithm, about their relative error; 0 where they are
             known. `fgrecon.reconstruct_scene` and `fgrecon.reconstruct_image` find them where they are not.
         cropped_from_larger: Whether the image is a part of one (`cropped`): the principal point may be anywhere.
+        distortion_model: What the coefficients are of: `opencv`, or a fisheye of `fgrecon.core.lens`.
     """
 
     matrix: NDArray[np.float64]
@@ -52,6 +55,7 @@ class Camera:
     image_size: tuple[int, int] | None = None
     focal_sigma: float = 0.0
     cropped_from_larger: bool = False
+    distortion_model: str = lens.OPENCV
 
     def __post_init__(self) -> None:
         """Check the matrix and the coefficients.
@@ -70,13 +74,7 @@ class Camera:
         if matrix[1, 0] != 0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
             raise InvalidInputError("intrinsics", matrix.tolist(), "Give [[fx, s, cx], [0, fy, cy], [0, 0, 1]].")
         object.__setattr__(self, "matrix", own(matrix))
-        if self.distortion is not None:
-            coefficients = as_finite("distortion", self.distortion, (None,))
-            if len(coefficients) not in (4, 5, 8, 12, 14):
-                raise InvalidInputError(
-                    "distortion", f"{len(coefficients)} coefficients", "Give 4, 5, 8, 12 or 14 (OpenCV's order)."
-                )
-            object.__setattr__(self, "distortion", own(coefficients) if coefficients.any() else None)
+        object.__setattr__(self, "distortion", _coefficients(self.distortion, self.distortion_model))
         if self.image_size is not None:
             object.__setattr__(self, "image_size", _image_size(self.image_size))
         fix = f"Give a number from 0 to {_LARGEST_SIGMA:g}."
@@ -96,7 +94,7 @@ class Camera:
         """
         coefficients = None if distortion is None else as_finite("distortion", distortion, (None,))
         if isinstance(intrinsics, Camera):
-            return intrinsics if coefficients is None else replace(intrinsics, distortion=coefficients)
+            return intrinsics if coefficients is None else intrinsics.with_distortion(coefficients)
         fix = "Give the 3x3 camera matrix K, or fx, fy, cx, cy."
         numbers = as_either("intrinsics", intrinsics, ((3, 3), (4,)), fix)
         if numbers.shape == (4,):
@@ -136,6 +134,21 @@ class Camera:
             InvalidInputError: The image has no pixels.
         """
         return replace(cls.of_field_of_view(width, height), focal_sigma=ANY_FOCAL_SIGMA)
+
+    def with_distortion(self, coefficients: ArrayLike | None) -> Camera:
+        """The camera with OpenCV's coefficients in the place of its lens; None for a pinhole.
+
+        Raises:
+            InvalidInputError: The number of coefficients is wrong.
+        """
+        numbers = None if coefficients is None else as_finite("distortion", coefficients, (None,))
+        return replace(self, distortion=numbers, distortion_model=lens.OPENCV)
+
+    @property
+    def lens_fields(self) -> dict[str, Any]:
+        """Its lens as JSON has it: `distortion`, and `distortion_model` where it is a fisheye; empty for a pinhole."""
+        fields = {} if self.distortion is None else {"distortion": self.distortion.tolist()}
+        return fields if self.distortion_model == lens.OPENCV else {**fields, "distortion_model": self.distortion_model}
 
     def with_size_of(self, image: NDArray[Any]) -> Camera:
         """The camera with the size of an image (H, W, ...) that it took.
@@ -212,12 +225,19 @@ class Camera:
         homogeneous[..., :2] = pixels
         return homogeneous @ self._inverse.T
 
+    def _of_plane(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(M, 2) pixels of points (M, 2) at z = 1."""
+        pixels: NDArray[np.float64] = points @ self.matrix[:2, :2].T + self.matrix[:2, 2]
+        return pixels
+
     @cached_property
     def _inverse(self) -> NDArray[np.float64]:
         return np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
 
     def undistort(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Pixels (M, 2) as the ideal pinhole camera with the same K sees them; NaN rows stay NaN.
+
+        Of a fisheye what lies more than `lens.WIDEST_DEGREES` to the side is NaN too.
 
         Raises:
             InvalidInputError: They are no such numbers.
@@ -228,6 +248,8 @@ class Camera:
         pixels = pixels.copy()
         if self.distortion is None or not len(pixels):
             return pixels
+        if self.distortion_model != lens.OPENCV:
+            return self._of_plane(lens.ahead(self.distortion_model, self.distortion, self._rays(pixels)[:, :2]))
         import cv2  # on use: importing fgrecon must not import OpenCV
 
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
@@ -251,6 +273,8 @@ class Camera:
         pixels = pixels.copy()
         if self.distortion is None or not len(pixels):
             return pixels
+        if self.distortion_model != lens.OPENCV:
+            return self._of_plane(lens.imaged(self.distortion_model, self.distortion, self._rays(pixels)[:, :2]))
         import cv2
 
         zero = np.zeros(3)
@@ -268,6 +292,32 @@ class Camera:
         off = np.abs(self._distorted(ideal[returns]) - pixels[returns])
         returns[returns] = off.max(axis=1) < _SAME_PIXEL
         return ideal, returns
+
+
+def lens_of(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a camera's lens, by what `Camera.lens_fields` made of them; both may be absent or None."""
+    return {
+        "distortion": fields.get("distortion"),
+        "distortion_model": fields.get("distortion_model") or lens.OPENCV,
+    }
+
+
+def _coefficients(given: ArrayLike | None, model: str) -> NDArray[np.float64] | None:
+    """A lens's coefficients; None for a pinhole.
+
+    Raises:
+        InvalidInputError: There is no such model, or it has another number of coefficients.
+    """
+    if model not in lens.COUNTS:
+        raise InvalidInputError("distortion_model", model, f"Give one of: {', '.join(lens.COUNTS)}.")
+    if given is None and model == lens.OPENCV:
+        return None
+    coefficients = as_finite("distortion", [] if given is None else given, (None,))
+    counts = lens.COUNTS[model]
+    if len(coefficients) not in counts:
+        listed = "4, 5, 8, 12 or 14 (OpenCV's order)" if model == lens.OPENCV else f"{counts[0]} of {model}"
+        raise InvalidInputError("distortion", f"{len(coefficients)} coefficients", f"Give {listed}.")
+    return own(coefficients) if coefficients.any() or model != lens.OPENCV else None
 
 
 def _image_size(given: object) -> tuple[int, int]:

@@ -31,7 +31,7 @@ from fgrecon.io.bag_frames import BagFrames
 from fgrecon.io.bag_images import PICTURES
 from fgrecon.io.bag_transforms import Transforms, frame_name, pose_of_message, series, stamp_of
 from fgrecon.io.json_fields import Fields, within
-from fgrecon.io.lens_fields import read_distortion
+from fgrecon.io.lens_fields import read_lens
 from fgrecon.io.poses import CameraPoses, read_pose
 from fgrecon.io.source_frames import Choice
 
@@ -310,7 +310,7 @@ def _camera(info: Any, where: str, *, rectified: bool) -> Camera | None:
     if not used.any():
         return None
     fields = Fields({"distortion_model": info.distortion_model, "d": lens_of.tolist()}, where)
-    lens = None if rectified or not lens_of.any() else read_distortion(fields)
+    lens = {} if rectified or not lens_of.any() else read_lens(fields)
     region = info.roi
     shift = np.array([region.x_offset, region.y_offset], dtype=np.float64)
     size = np.array([region.width or info.width, region.height or info.height], dtype=np.float64)
@@ -319,7 +319,7 @@ def _camera(info: Any, where: str, *, rectified: bool) -> Camera | None:
     used[:2] /= bins[:, None]  # as image_geometry does, which has no half pixel
     width, height = (size // bins).astype(int).tolist()
     with within(where):
-        return Camera(used, lens, (width, height) if min(width, height) > 0 else None)
+        return Camera(used, image_size=(width, height) if min(width, height) > 0 else None, **lens)
 
 
 def cloud_points(message: Any, where: str) -> Array:

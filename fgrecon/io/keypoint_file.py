@@ -47,13 +47,13 @@ from fgrecon.io.catalogue import class_of_kind
 from fgrecon.io.image_size import scale_between
 from fgrecon.io.images import IMAGES, refuse_unread
 from fgrecon.io.json_fields import Fields, numbers, plain_id, read_json
-from fgrecon.io.lens_fields import check_unused, read_distortion, read_size
+from fgrecon.io.lens_fields import check_unused, read_lens, read_size
 from fgrecon.io.video_frames import VIDEOS
 
 Array = NDArray[np.float64]
 
 _NO_TRACK = -1
-_CAMERA_FIELDS = {"K", "intrinsics", "distortion", "image_size"}
+_CAMERA_FIELDS = {"K", "intrinsics", "distortion", "distortion_model", "image_size"}
 _INSTANCE_FIELDS = {
     "id",
     "keypoints",
@@ -321,10 +321,9 @@ def parse_camera(fields: Fields) -> Camera | None:
     value = fields.data[field]
     short = field == "intrinsics" and isinstance(value, list) and not any(isinstance(row, list) for row in value)
     check_unused(fields, _INSTANCE_FIELDS | _DETECTOR_FIELDS)
-    distortion, size = read_distortion(fields), read_size(fields)
+    lens, size = read_lens(fields), read_size(fields)
     try:
-        pinhole = Camera.of(fields.numbers(field, (4,) if short else (3, 3)), distortion)
-        return Camera(pinhole.matrix, pinhole.distortion, size)
+        return Camera(Camera.of(fields.numbers(field, (4,) if short else (3, 3))).matrix, image_size=size, **lens)
     except InvalidInputError as error:
         name = error.field.replace("intrinsics", field).removeprefix(fields.where)
         raise InvalidInputError(f"{fields.where}{name}", error.value, error.fix) from error

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.lens import FISHEYE, MEI, OPENCV
 from fgrecon.io.json_fields import Fields, numbers
 
 DISTORTION = frozenset(
@@ -57,7 +58,14 @@ PINHOLE = frozenset(
 )
 """Lens models that OpenCV's coefficients describe."""
 
-_SOLVED = "Only the pinhole models of OpenCV are solved. Undistort points and image (cv2.fisheye) and give that camera."
+LENSES = {
+    **dict.fromkeys(PINHOLE, OPENCV),
+    **dict.fromkeys(["fisheye", "opencvfisheye", "equidistant", "kannalabrandt", "kannalabrandt8"], FISHEYE),
+    "mei": MEI,
+}
+"""What the coefficients are of, by the names of models."""
+
+UNSOLVED = "Solved are pinholes, fisheye (Kannala-Brandt) and mei. Undistort points and image and give that camera."
 _SINGLE = frozenset(["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"])  # a coefficient by itself
 _PARTS = "distort", "fisheye", "lens", "coef", "resolution", "imagesize"
 _LIKE = 0.84  # share of letters in common (difflib) from which on a name is taken for a misspelt one; not tuned
@@ -72,19 +80,28 @@ def _named(data: Mapping[str, Any], names: frozenset[str]) -> list[str]:
     return [field for field, value in data.items() if _bare(field) in names and value is not None]
 
 
-def read_distortion(fields: Fields) -> NDArray[np.float64] | None:
-    """OpenCV's coefficients (N,), or None where no field has any.
+def read_lens(fields: Fields) -> dict[str, Any]:
+    """The lens as `fgrecon.core.camera.Camera` has it, `distortion` (N,) and `distortion_model`; empty for a pinhole.
 
     Raises:
-        InvalidInputError: The lens is none that OpenCV's coefficients describe, two fields have some, or they are no
-            numbers; names the field.
+        InvalidInputError: The lens is none that is solved, two fields have coefficients, or they are no numbers; names
+            the field.
     """
-    for field in _named(fields.data, FISHEYES):
-        if fields.data[field] not in (0, False, "0", "false"):
-            raise InvalidInputError(f"{fields.where}{field}", fields.data[field], _SOLVED)
+    fisheye = any(fields.data[field] not in (0, False, "0", "false") for field in _named(fields.data, FISHEYES))
+    model = FISHEYE if fisheye else OPENCV
     for field in _named(fields.data, MODELS):
-        if _bare(fields.data[field]) not in PINHOLE | {""}:
-            raise InvalidInputError(f"{fields.where}{field}", fields.data[field], _SOLVED)
+        named = _bare(fields.data[field])
+        if named and named not in LENSES:
+            raise InvalidInputError(f"{fields.where}{field}", fields.data[field], UNSOLVED)
+        model = LENSES.get(named, OPENCV) if model == OPENCV else model
+    coefficients = _coefficients(fields)
+    if model != OPENCV and coefficients is None:
+        raise InvalidInputError(f"{fields.where}distortion", "nothing", f"Give the coefficients of {model}.")
+    return {} if coefficients is None else {"distortion": coefficients, "distortion_model": model}
+
+
+def _coefficients(fields: Fields) -> NDArray[np.float64] | None:
+    """The coefficients (N,) of whatever lens; None where no field has any."""
     found = _named(fields.data, DISTORTION)
     if not found:
         return None

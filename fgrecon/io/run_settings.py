@@ -81,7 +81,8 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
     """A camera for JSON."""
     return {
         "matrix": camera.matrix.tolist(),
-        "distortion": None if camera.distortion is None else camera.distortion.tolist(),
+        "distortion": None,
+        **camera.lens_fields,
         "image_size": camera.image_size,
         **({"focal_sigma": camera.focal_sigma} if camera.focal_sigma else {}),
     }

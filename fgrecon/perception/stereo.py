@@ -19,6 +19,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Evidence, StereoPair, as_evidence
+from fgrecon.core.lens import OPENCV
 from fgrecon.perception.keypoints.detect import as_rgb8
 
 Array = NDArray[np.float64]
@@ -67,12 +68,15 @@ def stereo_depth(left: NDArray[Any], camera: Camera, pair: StereoPair, settings:
         settings: How they are matched.
 
     Raises:
-        InvalidInputError: The images differ in size.
+        InvalidInputError: The images differ in size, or a lens is a fisheye.
     """
     images = as_rgb8(left), as_rgb8(pair.image)
     if images[0].shape != images[1].shape:
         raise InvalidInputError("right", f"shape {images[1].shape}", f"Give an image of shape {images[0].shape}.")
     motion, right = pair.right_T_left, pair.camera
+    if {camera.distortion_model, right.distortion_model} != {OPENCV}:
+        fix = "Rectify the pair (cv2.fisheye) and give its pinhole cameras."
+        raise InvalidInputError("right", "a fisheye", fix)
     if _is_rectified(camera, right, motion):
         focal, shift = camera.matrix[0, 0], right.matrix[0, 2] - camera.matrix[0, 2]
         product = -float(motion[0, 3]) * focal

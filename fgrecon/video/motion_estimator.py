@@ -37,9 +37,9 @@ class MotionEstimator:
     @property
     def settings(self) -> dict[str, Any]:
         """What motions depend on beside the images and the vehicles in them, as plain values."""
-        lens = self.camera.distortion
+        lens = list(self.camera.lens_fields.values())
         return {
-            "camera": [self.camera.matrix.tolist(), None if lens is None else lens.tolist()],
+            "camera": [self.camera.matrix.tolist(), *(lens or [None])],
             "ground": [*self.ground.normal.tolist(), self.ground.distance, self.ground.slope_sigma],
         }
 

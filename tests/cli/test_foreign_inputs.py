@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from fgrecon.batch import read_folder
 from fgrecon.cli import main
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.export import read_results
 from fgrecon.io.images import write_png
 from tests.io.formats import CATEGORY, flat, in_scheme, our_record, told_by
 from tests.io.test_cameras import nuscenes, ros, waymo
@@ -124,3 +126,18 @@ def test_nuscenes_says_where_the_ground_is(write, cameras):
 def test_one_way_to_say_the_camera(write, cameras):
     done = run("reconstruct", write(car()), "--camera", cameras["ros"], INTRINSICS)
     assert isinstance(done.exception, InvalidInputError)
+
+
+def test_a_fisheye_stays_one_through_results_and_tables(write, tmp_path):
+    """Solved as the pinhole's points are, and written and read back with its lens."""
+    lens = {"distortion": [-0.02, 0.004, -0.003, 0.0004], "distortion_model": "fisheye"}
+    camera = Camera(K, **lens)
+    seen = {"id": "a", "K": K.tolist(), "keypoints": POINTS.tolist()}
+    bent = {**seen, **lens, "keypoints": camera.distort(POINTS).tolist()}
+    plain, path = solved("reconstruct", write(seen, "pinhole.json")), write(bent, "fisheye.json")
+    for command in (["reconstruct", path, "--json", tmp_path / "out.json"], ["batch", path, "--out", tmp_path / "out"]):
+        done = run(*command)
+        assert done.exit_code == 0, done.output
+        (found,) = read_results(command[-1]) if command[0] == "reconstruct" else read_folder(command[-1])
+        np.testing.assert_allclose(found.result.camera_T_object, plain["a"], atol=1e-4)
+        assert found.camera.lens_fields == lens

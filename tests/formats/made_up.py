@@ -294,7 +294,12 @@ def write_kitti360(root: Path, name: str = "2013_05_28_drive_0000_sync") -> Path
             f"S_rect_{i:02d}: {WIDTH}.0 {HEIGHT}.0",
         ]
         mounts.append(f"image_{i:02d}: {' '.join(map(repr, camera.vehicle_T_camera[:3].ravel().tolist()))}")
-    mounts += [f"image_{i:02d}: {' '.join(map(repr, np.eye(4)[:3].ravel().tolist()))}" for i in (2, 3)]
+    mounts += [
+        f"image_{i + 2:02d}: {' '.join(map(repr, c.vehicle_T_camera[:3].ravel().tolist()))}"
+        for i, c in enumerate(CAMERAS)
+    ]
+    for name_of, camera in zip(("image_02", "image_03"), CAMERAS, strict=True):
+        (root / f"calibration/{name_of}.yaml").write_text(_mei(name_of, camera))
     (root / "calibration/perspective.txt").write_text("\n".join(["calib_time: 09-Jan-2012", *text]) + "\n")
     (root / "calibration/calib_cam_to_pose.txt").write_text("\n".join(mounts) + "\n")
     rows = [f"{i + 7} {' '.join(map(repr, world_T_vehicle(t)[:3].ravel().tolist()))}" for i, t in enumerate(TIMES_NS)]
@@ -309,10 +314,32 @@ def write_kitti360(root: Path, name: str = "2013_05_28_drive_0000_sync") -> Path
     (root / f"data_3d_bboxes/train/{name}.xml").write_text(
         f'<?xml version="1.0"?>\n<opencv_storage>{"".join(items)}</opencv_storage>\n'
     )
-    for i in range(2):
+    for i in range(4):
         for frame in (7, 8):
-            write_image(root / f"data_2d_raw/{name}/image_{i:02d}/data_rect/{frame:010d}.png")
+            folder = root / f"data_2d_raw/{name}/image_{i:02d}" / ("data_rect" if i < 2 else "data_rgb")
+            write_image(folder / f"{frame:010d}.png")
     return root
+
+
+def _mei(name: str, camera: Mounted) -> str:
+    """A fisheye of KITTI-360 as camodocal writes it; no p1 and p2, which the devkit leaves out."""
+    fx, fy, cx, cy = camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    parts = {
+        "mirror_parameters": {"xi": 2.2134},
+        "distortion_parameters": {"k1": 0.0169, "k2": 1.6549, "p1": 0.0, "p2": 0.0},
+        "projection_parameters": {"gamma1": fx, "gamma2": fy, "u0": cx, "v0": cy},
+    }
+    lines = [
+        "%YAML:1.0",
+        "---",
+        "model_type: MEI",
+        f"camera_name: {name}",
+        f"image_width: {WIDTH}",
+        f"image_height: {HEIGHT}",
+    ]
+    for part, values in parts.items():
+        lines += [f"{part}:", *(f"   {key}: {value!r}" for key, value in values.items())]
+    return "\n".join(lines) + "\n"
 
 
 def _kitti360_object(index: int, instance: int, matrix: np.ndarray, time: int) -> str:

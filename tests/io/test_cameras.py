@@ -82,20 +82,28 @@ def test_a_message_of_ros_and_numbers_without_a_dot(tmp_path):
     check(read_camera(write(tmp_path / "m.yaml", text)).camera)
 
 
-@pytest.mark.parametrize("model", ["equidistant", "fisheye", "kannala_brandt", "double_sphere"])
-def test_lenses_that_are_not_solved_are_refused(tmp_path, model):
-    with pytest.raises(InvalidInputError, match=r"distortion_model.*cv2\.fisheye"):
-        read_camera(write(tmp_path / "c.yaml", yaml.safe_dump(ros(model, LENS[:4]))))
+@pytest.mark.parametrize("model", ["equidistant", "fisheye", "kannala_brandt"])
+def test_fisheyes_of_ros(tmp_path, model):
+    camera = read_camera(write(tmp_path / "c.yaml", yaml.safe_dump(ros(model, LENS[:4])))).camera
+    assert (camera.distortion_model, camera.distortion.tolist()) == ("fisheye", LENS[:4].tolist())
 
 
-def test_opencvs_fisheye_is_refused(tmp_path):
+def test_lenses_that_are_not_solved_are_refused(tmp_path):
+    with pytest.raises(InvalidInputError, match=r"distortion_model: got double_sphere\. .*Undistort"):
+        read_camera(write(tmp_path / "c.yaml", yaml.safe_dump(ros("double_sphere", LENS[:4]))))
+
+
+def test_opencvs_fisheye(tmp_path):
     path = tmp_path / "c.yml"
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     storage.write("fisheye_model", 1)
     storage.write("camera_matrix", K)
     storage.release()
-    with pytest.raises(InvalidInputError, match="fisheye_model"):
+    with pytest.raises(InvalidInputError, match="distortion: got nothing"):
         read_camera(path)
+    lens = f"distortion_coefficients: {LENS[:4].tolist()}\n"
+    write(path, path.read_text() + lens)
+    assert read_camera(path).camera.distortion_model == "fisheye"
 
 
 @pytest.mark.parametrize(
@@ -300,7 +308,7 @@ def test_the_lens_by_any_usual_name_beside_a_nested_matrix(tmp_path, name, size)
     [
         ("distortion_coefficents", COEFFICIENTS),
         ("distorsion", COEFFICIENTS),
-        ("camera_model", "fisheye"),
+        ("camera_model", "double_sphere"),
         ("model_distortion", "equidistant"),
         ("lens", {"k1": -0.31}),
         ("k1", -0.31),

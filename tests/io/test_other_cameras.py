@@ -1,4 +1,4 @@
-"""Cameras of Kalibr, ORB-SLAM, VINS, COLMAP and nerfstudio: read, and refused by name where they are fisheyes."""
+"""Cameras of Kalibr, ORB-SLAM, VINS, COLMAP and nerfstudio: read, and refused by name where they are not solved."""
 
 import json
 import struct
@@ -64,10 +64,11 @@ projection_parameters:
 """
 COLMAP = f"""# Camera list with one line of data per camera:
 #   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]
-# Number of cameras: 3
+# Number of cameras: 4
 1 OPENCV 752 480 {FX} {FY} {CX} {CY} {" ".join(map(str, LENS))}
 2 SIMPLE_RADIAL 752 480 {FX} {CX} {CY} -0.1
 3 OPENCV_FISHEYE 752 480 {FX} {FY} {CX} {CY} 0.1 0 0 0
+4 FOV 752 480 {FX} {FY} {CX} {CY} 0.9
 """
 IMAGES = """# Image list with two lines of data per image:
 1 1 0 0 0 0 0 0 2 b/left.png
@@ -96,10 +97,16 @@ def test_kalibr(tmp_path):
     same(read_camera(f"{path}#cam0").camera)
     with pytest.raises(InvalidInputError, match="cam0, cam1"):
         read_camera(path)
-    with pytest.raises(InvalidInputError, match=r"cam1\.camera_model: got omni.*Undistort"):
+    of_sphere = read_camera(f"{path}#cam1").camera
+    assert (of_sphere.distortion_model, of_sphere.distortion.tolist()) == ("mei", [1.5, *LENS])
+    write(path, KALIBR.replace("radtan", "equidistant"))
+    fisheye = read_camera(f"{path}#cam0").camera
+    assert (fisheye.distortion_model, fisheye.distortion.tolist()) == ("fisheye", LENS)
+    with pytest.raises(InvalidInputError, match=r"cam1\.distortion_model: got equidistant of omni"):
         read_camera(f"{path}#cam1")
     for field, text in (
-        ("distortion_model", KALIBR.replace("radtan", "equidistant")),
+        ("camera_model", KALIBR.replace("pinhole", "ds")),
+        ("distortion_model", KALIBR.replace("radtan", "fov")),
         ("intrinsics", KALIBR.replace(f"[{FX}, {FY}", f"[{FX}")),
     ):
         with pytest.raises(InvalidInputError, match=rf"cam0\.{field}"):
@@ -112,8 +119,13 @@ def test_orb_slam(tmp_path):
     same(read_camera(write(path, ORB.replace("Camera1.", "Camera."))).camera)  # ORB-SLAM 2
     rectified = read_camera(write(path, ORB.replace("PinHole", "Rectified"))).camera
     assert rectified.distortion is None
-    with pytest.raises(InvalidInputError, match=r"Camera\.type: got KannalaBrandt8"):
+    with pytest.raises(InvalidInputError, match=r"Camera\.type: got Omni"):
+        read_camera(write(path, ORB.replace("PinHole", "Omni")))
+    with pytest.raises(InvalidInputError, match=r"Camera1\.k3"):
         read_camera(write(path, ORB.replace("PinHole", "KannalaBrandt8")))
+    fisheye = ORB.replace("PinHole", "KannalaBrandt8").replace("p1", "k3").replace("p2", "k4")
+    camera = read_camera(write(path, fisheye)).camera
+    assert (camera.distortion_model, camera.distortion.tolist()) == ("fisheye", LENS)
     with pytest.raises(InvalidInputError, match=r"Camera2\.fx"):
         read_camera(f"{path}#Camera2")
 
@@ -121,8 +133,21 @@ def test_orb_slam(tmp_path):
 def test_vins(tmp_path):
     path = write(tmp_path / "cam0_pinhole.yaml", VINS)
     same(read_camera(path).camera)
-    with pytest.raises(InvalidInputError, match="model_type: got MEI"):
-        read_camera(write(path, VINS.replace("PINHOLE", "MEI")))
+    with pytest.raises(InvalidInputError, match="model_type: got SCARAMUZZA"):
+        read_camera(write(path, VINS.replace("PINHOLE", "SCARAMUZZA")))
+    names = dict(zip(("fx", "fy", "cx", "cy"), ("gamma1", "gamma2", "u0", "v0"), strict=True))
+    mei = VINS.replace("PINHOLE", "MEI") + "mirror_parameters:\n   xi: 2.2\n"
+    for theirs, name in names.items():
+        mei = mei.replace(f"{theirs}:", f"{name}:")
+    camera = read_camera(write(path, mei)).camera
+    assert (camera.distortion_model, camera.distortion.tolist()) == ("mei", [2.2, *LENS])
+    assert camera.matrix.tolist() == MATRIX
+    fisheye = VINS[: VINS.index("distortion")].replace("PINHOLE", "KANNALA_BRANDT") + "projection_parameters:\n"
+    numbers = zip(("k2", "k3", "k4", "k5", "mu", "mv", "u0", "v0"), [*LENS, FX, FY, CX, CY], strict=True)
+    fisheye += "".join(f"   {name}: {number}\n" for name, number in numbers)
+    camera = read_camera(write(path, fisheye)).camera
+    assert (camera.distortion_model, camera.distortion.tolist()) == ("fisheye", LENS)
+    assert camera.matrix.tolist() == MATRIX
     with pytest.raises(InvalidInputError, match=r"projection_parameters\.cy"):
         read_camera(write(path, VINS[: VINS.index("   cy")]))
 
@@ -130,6 +155,7 @@ def test_vins(tmp_path):
 def in_bytes():
     """The same cameras as COLMAP writes them in binary."""
     cameras = [(1, 4, [FX, FY, CX, CY, *LENS]), (2, 2, [FX, CX, CY, -0.1]), (3, 5, [FX, FY, CX, CY, 0.1, 0, 0, 0])]
+    cameras.append((4, 7, [FX, FY, CX, CY, 0.9]))
     parts = [struct.pack("<Q", len(cameras))]
     for number, model, values in cameras:
         parts += [struct.pack("<iiQQ", number, model, 752, 480), struct.pack(f"<{len(values)}d", *values)]
@@ -144,9 +170,11 @@ def test_colmap(tmp_path, name):
     simple = read_camera(f"{path}#2").camera
     assert simple.matrix[1, 1] == FX
     assert simple.distortion[0] == -0.1
-    with pytest.raises(InvalidInputError, match=r"OPENCV_FISHEYE.*undistort"):
-        read_camera(f"{path}#3")
-    with pytest.raises(InvalidInputError, match="1, 2, 3"):
+    fisheye = read_camera(f"{path}#3").camera
+    assert (fisheye.distortion_model, fisheye.distortion.tolist()) == ("fisheye", [0.1, 0.0, 0.0, 0.0])
+    with pytest.raises(InvalidInputError, match=r"FOV.*undistort"):
+        read_camera(f"{path}#4")
+    with pytest.raises(InvalidInputError, match="1, 2, 3, 4"):
         read_camera(path)
     write(tmp_path / "images.txt", IMAGES)
     same(read_camera(path, "right.png").camera, half=0.5)
@@ -184,8 +212,11 @@ def test_nerfstudio(tmp_path):
     same(found.camera, half=0.5)
     assert np.allclose(found.world_T_camera[:3, :3] @ [0, 0, 1], [0, 0, -1])  # its cameras look along -z
     assert found.world_T_camera[:3, 3].tolist() == [1.0, 2.0, 3.0]
-    with pytest.raises(InvalidInputError, match=r"camera_model.*OPENCV_FISHEYE"):
-        read_camera(write(path, json.dumps({**transforms(), "camera_model": "OPENCV_FISHEYE"})))
+    fisheye = {**transforms(), "camera_model": "OPENCV_FISHEYE", "k3": 0.01, "k4": -0.002}
+    camera = read_camera(write(path, json.dumps(fisheye))).camera
+    assert (camera.distortion_model, camera.distortion.tolist()) == ("fisheye", [*LENS[:2], 0.01, -0.002])
+    with pytest.raises(InvalidInputError, match=r"camera_model.*EQUIRECTANGULAR"):
+        read_camera(write(path, json.dumps({**transforms(), "camera_model": "EQUIRECTANGULAR"})))
     alone = transforms()
     del alone["fl_x"]
     alone["frames"][0]["fl_x"] = FX

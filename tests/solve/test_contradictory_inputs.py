@@ -72,7 +72,7 @@ def test_a_box_beyond_the_lens_is_left_out():
     box = [*np.nanmin(pixels, axis=0), 1279.0, 799.0]
     confidence = np.where(visible, 0.9, 0.0)
     result = reconstruct(pixels, lens, confidence=confidence, box=box)
-    assert result.diagnostics.left_out == ("2D box: left out, the lens distortion cannot be undone at its corners.",)
+    assert result.diagnostics.left_out == ("2D box: left out, the lens distortion cannot be undone at its sides.",)
     alone = reconstruct(pixels, lens, confidence=confidence)
     np.testing.assert_array_equal(result.camera_T_object, alone.camera_T_object)
 

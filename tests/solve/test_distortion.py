@@ -44,3 +44,12 @@ def _without(pixels, row):
     left = pixels.copy()
     left[row] = np.nan
     return left
+
+
+def test_a_car_through_a_fisheye_is_the_car_of_a_pinhole(seen):
+    """The same pose, from the file that says so, and drawn where the fisheye images it."""
+    camera = replace(CAMERA, distortion=np.array([-0.02, 0.004, -0.003, 0.0004]), distortion_model="fisheye")
+    bent = replace(seen, keypoints=camera.distort(seen.keypoints), box=None)
+    pinhole = reconstruct(replace(seen, box=None), CAMERA)
+    fisheye = reconstruct(bent, camera)
+    np.testing.assert_allclose(fisheye.camera_T_object, pinhole.camera_T_object, atol=1e-4)

@@ -133,7 +133,7 @@ class CameraSource:
                 declared.
         """
         if self.distortion is not None:
-            camera = replace(camera, distortion=np.array(self.distortion))
+            camera = camera.with_distortion(self.distortion)
         size = None if self.image is None else (self.image.shape[1], self.image.shape[0])
         if self.crop is not None:
             whole = camera if self.crop.whole is None else replace(camera, image_size=self.crop.whole)

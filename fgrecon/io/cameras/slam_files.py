@@ -2,28 +2,37 @@
 
 | from | known by | lenses that are solved |
 |---|---|---|
-| Kalibr | `cam0: {camera_model: ...}` | `pinhole` with `radtan` or `none` |
-| ORB-SLAM | `Camera1.fx` (3), `Camera.fx` (2) | `PinHole`, `Rectified` |
-| VINS | `model_type`, `projection_parameters` | `PINHOLE` |
+| Kalibr | `cam0: {camera_model: ...}` | `pinhole` with `radtan`, `equidistant`, `none`; `omni` |
+| ORB-SLAM | `Camera1.fx` (3), `Camera.fx` (2) | `PinHole`, `Rectified`, `KannalaBrandt8` |
+| VINS | `model_type`, `projection_parameters` | `PINHOLE`, `KANNALA_BRANDT`, `MEI` |
 
-Others (omni, ds, eucm, equidistant, KannalaBrandt8, MEI, ...) are fisheyes, and are refused by name.
+Others (ds, eucm, fov, SCARAMUZZA, ...) are refused by name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.lens import FISHEYE, MEI, OPENCV
 from fgrecon.io.cameras.camera_file_names import named_camera
 from fgrecon.io.json_fields import Fields, within
-from fgrecon.io.lens_fields import as_number
+from fgrecon.io.lens_fields import UNSOLVED, as_number
 
-_SOLVED = "Only the pinhole models of OpenCV are solved. Undistort points and image, and give that camera."
 _LENS = "k1", "k2", "p1", "p2", "k3"
+_KALIBR = {
+    ("pinhole", "none"): OPENCV,
+    ("pinhole", "radtan"): OPENCV,
+    ("pinhole", "equidistant"): FISHEYE,
+    ("omni", "none"): MEI,
+    ("omni", "radtan"): MEI,
+}
+_VINS = {"PINHOLE": OPENCV, "KANNALA_BRANDT": FISHEYE, "MEI": MEI}
+_ORB = {"PinHole": OPENCV, "Rectified": OPENCV, "KannalaBrandt8": FISHEYE}
 
 
 def is_slam_file(data: Any) -> bool:
@@ -61,39 +70,60 @@ def _orb(data: Mapping[str, Any]) -> str | None:
 
 
 def _of_kalibr(fields: Fields) -> Camera:
-    _check(fields, "camera_model", ("pinhole",))
-    _check(fields, "distortion_model", ("radtan", "none"))
-    fx, fy, cx, cy = fields.numbers("intrinsics", (4,))
-    lens = fields.numbers("distortion_coeffs", (4,)) if fields.data["distortion_model"] == "radtan" else None
+    model, lens = (_known(fields, name, _KALIBR) for name in ("camera_model", "distortion_model"))
+    if (model, lens) not in _KALIBR:
+        raise InvalidInputError(f"{fields.where}distortion_model", f"{lens} of {model}", UNSOLVED)
+    *mirror, fx, fy, cx, cy = fields.numbers("intrinsics", (4 if model == "pinhole" else 5,)).tolist()
+    numbers = [0.0] * 4 if lens == "none" else fields.numbers("distortion_coeffs", (4,)).tolist()
     width, height = fields.numbers("resolution", (2,)).astype(int).tolist()
-    with within(fields.where):
-        return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), lens, (width, height))
+    return _camera((fx, fy, cx, cy), [*mirror, *numbers], _KALIBR[model, lens], (width, height), fields.where)
 
 
 def _of_vins(fields: Fields) -> Camera:
-    _check(fields, "model_type", ("PINHOLE",))
-    focal = Fields(fields.get("projection_parameters", dict), f"{fields.where}projection_parameters.")
-    lens = Fields(fields.data.get("distortion_parameters") or {}, f"{fields.where}distortion_parameters.")
-    return _camera(focal, lens, "", fields, ("image_width", "image_height"))
+    model = _VINS[_known(fields, "model_type", _VINS)]
+    mirror, lens, focal = (
+        Fields(fields.data.get(f"{part}_parameters") or {}, f"{fields.where}{part}_parameters.")
+        for part in ("mirror", "distortion", "projection")
+    )
+    if model == FISHEYE:  # its k2 is the factor of the angle's third power
+        names, coefficients = ("mu", "mv", "u0", "v0"), [_number(focal, name) for name in ("k2", "k3", "k4", "k5")]
+    elif model == MEI:
+        names = "gamma1", "gamma2", "u0", "v0"
+        coefficients = [_number(mirror, "xi"), *_read(lens, _LENS[:4])]
+    else:
+        names, coefficients = ("fx", "fy", "cx", "cy"), _read(lens, _LENS)
+    size = _size(fields, "image_width", "image_height")
+    return _camera([_number(focal, name) for name in names], coefficients, model, size, fields.where)
 
 
 def _of_orb(fields: Fields, name: str) -> Camera:
     if f"{name}.fx" not in fields:
         raise InvalidInputError(f"{fields.where}{name}.fx", "nothing", "Name a camera of the file, such as Camera1.")
-    if "Camera.type" in fields:
-        _check(fields, "Camera.type", ("PinHole", "Rectified"))
-    rectified = fields.data.get("Camera.type") == "Rectified"
-    lens = Fields({}, fields.where) if rectified else fields
-    return _camera(fields, lens, f"{name}.", fields, ("Camera.width", "Camera.height"))
+    kind = _known(fields, "Camera.type", _ORB) if "Camera.type" in fields else "PinHole"
+    focal = [_number(fields, f"{name}.{part}") for part in ("fx", "fy", "cx", "cy")]
+    if kind == "KannalaBrandt8":
+        coefficients = [_number(fields, f"{name}.{part}") for part in ("k1", "k2", "k3", "k4")]
+    else:
+        coefficients = [] if kind == "Rectified" else _read(fields, [f"{name}.{part}" for part in _LENS])
+    return _camera(focal, coefficients, _ORB[kind], _size(fields, "Camera.width", "Camera.height"), fields.where)
 
 
-def _camera(focal: Fields, lens: Fields, before: str, sized: Fields, size: tuple[str, str]) -> Camera:
-    """The camera of fields `fx`, `fy`, `cx`, `cy` and of a lens, whose names have something before them."""
-    fx, fy, cx, cy = (_number(focal, f"{before}{name}") for name in ("fx", "fy", "cx", "cy"))
-    numbers = [_number(lens, f"{before}{name}") if f"{before}{name}" in lens else 0.0 for name in _LENS]
-    known = (int(_number(sized, size[0])), int(_number(sized, size[1]))) if size[0] in sized else None
-    with within(sized.where):
-        return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), np.array(numbers), known)
+def _camera(
+    focal: Sequence[float], coefficients: list[float], model: str, size: tuple[int, int] | None, where: str
+) -> Camera:
+    fx, fy, cx, cy = focal
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    with within(where):
+        return Camera(matrix, np.array(coefficients) if coefficients else None, size, distortion_model=model)
+
+
+def _read(fields: Fields, names: Sequence[str]) -> list[float]:
+    """The numbers of some fields; 0 for those that are absent."""
+    return [_number(fields, name) if name in fields else 0.0 for name in names]
+
+
+def _size(fields: Fields, width: str, height: str) -> tuple[int, int] | None:
+    return (int(_number(fields, width)), int(_number(fields, height))) if width in fields else None
 
 
 def _number(fields: Fields, name: str) -> float:
@@ -101,7 +131,9 @@ def _number(fields: Fields, name: str) -> float:
     return float(whole.numbers(name, ()))
 
 
-def _check(fields: Fields, name: str, solved: tuple[str, ...]) -> None:
-    """Refuse a lens that is not solved."""
-    if (found := fields.get(name, str)) not in solved:
-        raise InvalidInputError(f"{fields.where}{name}", found, _SOLVED)
+def _known(fields: Fields, name: str, known: Collection[Any]) -> str:
+    """A lens's name; one that is not solved is refused."""
+    found: str = fields.get(name, str)
+    if found not in known and not any(found in pair for pair in known):
+        raise InvalidInputError(f"{fields.where}{name}", found, UNSOLVED)
+    return found

@@ -15,7 +15,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import Fields, numbers, within
-from fgrecon.io.lens_fields import as_number, check_unused, read_distortion, read_size
+from fgrecon.io.lens_fields import as_number, check_unused, read_lens, read_size
 
 _MATRIX = "camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k", "intrinsic_matrix"
 _PROJECTION = "projection_matrix", "P", "p"
@@ -81,9 +81,9 @@ def storage_camera(data: Mapping[str, Any], where: str, name: str | None = None)
         raise InvalidInputError(f"{where}camera", name, fix)
     matrix = _matrix(fields, _PROJECTION if rectified else _MATRIX, (3, 4) if rectified else (3, 3))[:, :3]
     check_unused(fields, (*_MATRIX, *_PROJECTION))
-    distortion, size = read_distortion(fields), read_size(fields)
+    lens, size = read_lens(fields), read_size(fields)
     with within(where):
-        return Camera(matrix, None if rectified else distortion, size)
+        return Camera(matrix, image_size=size, **({} if rectified else lens))
 
 
 def _bounded(content: Any, most: int) -> Any:

@@ -1,7 +1,7 @@
 """Cameras of structure from motion: COLMAP's `cameras.txt` and `cameras.bin`, nerfstudio's `transforms.json`.
 
 Both count pixels from the corner of the image: the centre of the first one is at (0.5, 0.5), in fgrecon at (0, 0).
-COLMAP's fisheyes are refused by name. Poses of nerfstudio are of a camera that looks along -z, with y up.
+Lenses that are not solved are refused by name. Poses of nerfstudio are of a camera that looks along -z, with y up.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.lens import FISHEYE, OPENCV
 from fgrecon.io.cameras.camera_file_names import named_camera
 from fgrecon.io.cameras.rigs import MountedCamera
 from fgrecon.io.files import read_text
@@ -25,7 +26,7 @@ from fgrecon.io.json_fields import Fields, within
 
 _HALF = 0.5  # pixels: the centre of COLMAP's first pixel
 _FIX = "Give COLMAP's file of cameras as it wrote it."
-_SOLVED = "Only pinhole models are solved: undistort the images (colmap image_undistorter) and give that camera."
+_SOLVED = "It is not solved: undistort the images (colmap image_undistorter) and give that camera."
 _BACK_UP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From a camera that looks along z, y down, to one that looks along -z, y up."""
 
@@ -38,10 +39,17 @@ _MODELS = {
     "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
 _NUMBERS = {0: "SIMPLE_PINHOLE", 1: "PINHOLE", 2: "SIMPLE_RADIAL", 3: "RADIAL", 4: "OPENCV", 6: "FULL_OPENCV"}
-_FISHEYES = {5: "OPENCV_FISHEYE", 7: "FOV", 8: "SIMPLE_RADIAL_FISHEYE", 9: "RADIAL_FISHEYE", 10: "THIN_PRISM_FISHEYE"}
-_OF_FISHEYES = {5: 8, 7: 5, 8: 4, 9: 5, 10: 12}
-"""How many parameters they have."""
+_NUMBERS |= {5: "OPENCV_FISHEYE", 8: "SIMPLE_RADIAL_FISHEYE", 9: "RADIAL_FISHEYE"}
+_FISHEYES = {
+    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
+    "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"),
+    "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
+}
+_UNSOLVED = {7: ("FOV", 5), 10: ("THIN_PRISM_FISHEYE", 12)}
+"""Names and numbers of parameters."""
+_MODELS |= _FISHEYES
 _LENS = "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"
+_FISHEYE_LENS = "k1", "k2", "k3", "k4"
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,7 @@ def colmap_camera(path: Path, image: str | None, name: str | None) -> Camera:
         name: Number of the camera, or None.
 
     Raises:
-        InvalidInputError: There is no such camera, its model is a fisheye, or the file is malformed; names it.
+        InvalidInputError: There is no such camera, its model is not solved, or the file is malformed; names it.
     """
     cameras = _of_text(path) if path.suffix == ".txt" else _of_bytes(path)
     beside = path.with_name("images.txt")
@@ -80,14 +88,15 @@ def colmap_camera(path: Path, image: str | None, name: str | None) -> Camera:
     parts = _MODELS[line.model]
     if len(line.numbers) != len(parts):
         raise InvalidInputError(where.rstrip(": "), f"{len(line.numbers)} numbers", f"Give {' '.join(parts)}.")
-    return _pinhole(dict(zip(parts, line.numbers, strict=True)), line.size, where)
+    return _camera(dict(zip(parts, line.numbers, strict=True)), line.model, line.size, where)
 
 
-def _pinhole(found: Mapping[str, float], size: tuple[int, int], where: str) -> Camera:
+def _camera(found: Mapping[str, float], model: str, size: tuple[int, int], where: str) -> Camera:
     fx, fy = found.get("fx", found.get("f")), found.get("fy", found.get("f"))
     matrix = np.array([[fx, 0.0, found["cx"] - _HALF], [0.0, fy, found["cy"] - _HALF], [0.0, 0.0, 1.0]])
+    lens, parts = (FISHEYE, _FISHEYE_LENS) if model in _FISHEYES else (OPENCV, _LENS)
     with within(where):
-        return Camera(matrix, np.array([found.get(part, 0.0) for part in _LENS]), size)
+        return Camera(matrix, np.array([found.get(part, 0.0) for part in parts]), size, distortion_model=lens)
 
 
 def _of_text(path: Path) -> dict[str, _Line]:
@@ -110,8 +119,8 @@ def _of_bytes(path: Path) -> dict[str, _Line]:
         (count,), at, found = struct.unpack_from("<Q", content), 8, {}
         for _ in range(count):
             camera, model, width, height = struct.unpack_from("<iiQQ", content, at)
-            name = _NUMBERS.get(model) or _FISHEYES.get(model, f"model {model}")
-            size = len(_MODELS[name]) if name in _MODELS else _OF_FISHEYES[model]
+            name = _NUMBERS.get(model, "")
+            name, size = (name, len(_MODELS[name])) if name else _UNSOLVED[model]
             numbers = struct.unpack_from(f"<{size}d", content, at + 24)
             found[str(camera)], at = _Line(name, (width, height), numbers), at + 24 + 8 * size
     except OSError as error:
@@ -162,12 +171,12 @@ def nerfstudio_camera(data: Mapping[str, Any], image: str | None, name: str | No
             f"{where}fl_x", "one for each image", "Name the photograph, or an image after the file."
         )
     model = fields.data.get("camera_model", "OPENCV")
-    if model not in _MODELS or fields.data.get("k4"):
+    if model not in _MODELS or (model not in _FISHEYES and fields.data.get("k4")):
         raise InvalidInputError(f"{place}{'camera_model' if model not in _MODELS else 'k4'}", model, _SOLVED)
     numbers = {part: float(fields.numbers(part, ())) for part in ("fl_x", "fl_y", "cx", "cy", "w", "h")}
     numbers |= {part: float(fields.numbers(part, ())) for part in _LENS if part in fields}
     numbers |= {"fx": numbers["fl_x"], "fy": numbers["fl_y"]}
-    camera = _pinhole(numbers, (int(numbers["w"]), int(numbers["h"])), place)
+    camera = _camera(numbers, model, (int(numbers["w"]), int(numbers["h"])), place)
     return MountedCamera(camera, world_T_camera=None if shown is None else _pose(fields))
 
 

@@ -1,8 +1,9 @@
-"""KITTI-360: sequences of perspective images with boxes in one world.
+"""KITTI-360: sequences of images with boxes in one world.
 
 A box is eight vertices, half a metre to each side, and a `transform` whose columns are the axes forward, left, up times
 length, width, height. Boxes without a `timestamp` (-1) stand still, and are taken for the frames from `start_frame` to
-`end_frame`. Poses are those of the GPS unit; the rectified images have `P_rect`, turned by `R_rect`.
+`end_frame`. Poses are those of the GPS unit; the rectified images have `P_rect`, turned by `R_rect`, and the two
+fisheyes (`image_02.yaml`) are as they were taken.
 """
 
 from __future__ import annotations
@@ -18,14 +19,17 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.lens import MEI
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
 from fgrecon.io.files import read_text
 
 Array = NDArray[np.float64]
 
-_CAMERAS = "image_00", "image_01"  # the perspective ones; image_02 and image_03 are fisheyes
+_CAMERAS = {"image_00": "data_rect", "image_01": "data_rect", "image_02": "data_rgb", "image_03": "data_rgb"}
+"""Folders of the images; the last two are fisheyes."""
 _RATE = 10.0  # frames per second, about
 _STATIC = -1
+_MEI = "xi", "k1", "k2", "p1", "p2"
 _KINDS = {13: "car", 14: "truck", 15: "trailer", 16: "caravan", 17: "motorcycle", 18: "bicycle", 19: "person"} | {
     20: "rider",
     33: "train",
@@ -62,10 +66,13 @@ def _read(name: str, path: Path) -> DataSequence:
     mounts = _lines(path / "calibration" / "calib_cam_to_pose.txt")
     intrinsics = _lines(path / "calibration" / "perspective.txt")
     images = []
-    for camera in _CAMERAS:
-        lens, turn = _lens(intrinsics, camera, path)
+    for camera, part in _CAMERAS.items():
+        own = path / "calibration" / f"{camera}.yaml"
+        if part == "data_rgb" and not own.is_file():
+            continue
+        lens, turn = (_fisheye(own), np.eye(4)) if part == "data_rgb" else _lens(intrinsics, camera, path)
         vehicle_T_camera = _matrix(mounts, camera, (3, 4), path) @ np.linalg.inv(turn)
-        folder = path / "data_2d_raw" / name / camera / "data_rect"
+        folder = path / "data_2d_raw" / name / camera / part
         images += [
             CameraImage(
                 camera=camera,
@@ -126,6 +133,15 @@ def _lens(lines: Mapping[str, list[str]], camera: str, path: Path) -> tuple[Came
     turn[:3, :3] = _matrix(lines, f"R_rect_{side}", (3, 3), path)
     width, height = _matrix(lines, f"S_rect_{side}", (1, 2), path)[0].astype(int).tolist()
     return Camera(_matrix(lines, f"P_rect_{side}", (3, 4), path)[:, :3], image_size=(width, height)), turn
+
+
+def _fisheye(file: Path) -> Camera:
+    """The camera of a file as camodocal writes it; no two of its values have the same name."""
+    lines, names = _lines(file), ("gamma1", "gamma2", "u0", "v0", *_MEI, "image_width", "image_height")
+    values = [float(_matrix(lines, name, (1, 1), file.parent.parent)[0, 0]) for name in names]
+    fx, fy, cx, cy, *lens, width, height = values
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    return Camera(matrix, np.array(lens), (int(width), int(height)), distortion_model=MEI)
 
 
 @lru_cache(maxsize=2)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.camera import Camera, Ground, lens_of
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import COMPACT, FORMAT, Reconstruction
@@ -196,7 +196,7 @@ def _named(
 def _camera(fields: Mapping[str, Any] | None) -> Camera | None:
     if fields is None:
         return None
-    distortion, size = fields["distortion"], fields["image_size"]
-    coefficients = None if distortion is None else np.array(distortion)
+    size = fields["image_size"]
     shape = None if size is None else (size[0], size[1])
-    return Camera(np.array(fields["matrix"]), coefficients, shape, fields.get("focal_sigma", 0.0))
+    sigma = fields.get("focal_sigma", 0.0)
+    return Camera(np.array(fields["matrix"]), image_size=shape, focal_sigma=sigma, **lens_of(fields))

@@ -24,7 +24,7 @@ from fgrecon.io.keypoints.pascal3d import read_anchors
 from fgrecon.io.keypoints.tool_records import cvat_records, is_tool_file, tool_records
 from fgrecon.io.keypoints.yolo_pose import is_yolo_pose, yolo_pose_records
 
-_CAMERA = ("K", "intrinsics", "distortion", "image_size")
+_CAMERA = ("K", "intrinsics", "distortion", "distortion_model", "image_size")
 
 Record = dict[str, Any]
 

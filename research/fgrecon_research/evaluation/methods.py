@@ -187,7 +187,7 @@ def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -
             start = time.perf_counter()
             if camera.distortion is not None:
                 observation = replace(observation, keypoints=camera.undistort(observation.keypoints))
-                camera = replace(camera, distortion=None)
+                camera = camera.with_distortion(None)
             camera_T_object = pnp(shape, observation, camera)
             return Estimate(camera_T_object, {"pose": 1e3 * (time.perf_counter() - start)})
 

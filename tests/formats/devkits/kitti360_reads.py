@@ -12,14 +12,19 @@ from contextlib import redirect_stdout
 import numpy as np
 
 from kitti360scripts.helpers.annotation import Annotation3D
-from kitti360scripts.helpers.project import CameraPerspective
+import yaml
+
+from kitti360scripts.helpers.project import CameraFisheye, CameraPerspective
+
+with_loader = yaml.load
+yaml.load = lambda text: with_loader(text, yaml.SafeLoader)  # it calls it as yaml 5 has it
 
 root, name = sys.argv[1], "2013_05_28_drive_0000_sync"
 with redirect_stdout(io.StringIO()):
     labels = Annotation3D(f"{root}/data_3d_bboxes", name)
 found = {"corners": {}, "images": {}}
-for camera in (0, 1):
-    lens = CameraPerspective(root, name, camera)
+for camera in range(4):
+    lens = (CameraPerspective if camera < 2 else CameraFisheye)(root, name, camera)
     for frame in (7, 8):
         seen = {}
         for by_time in labels.objects.values():
@@ -36,11 +41,12 @@ for camera in (0, 1):
                 )
                 place = lens.cam2world[frame]
                 points = lens.world2cam(corners, place[:3, :3], place[:3, 3], inverse=True)  # (3, 8)
-                whole = np.array(lens.cam2image(points.copy())[:2]).T  # rounded to whole pixels
-                exact = lens.K[:3, :3] @ points
-                pixels = (exact[:2] / exact[2]).T
+                pixels = np.array(lens.cam2image(points.copy())[:2]).T
                 ahead = points[2] > 0.1
-                assert np.abs(whole - pixels)[ahead].max(initial=0.0) <= 0.5
+                if camera < 2:
+                    whole, exact = pixels, lens.K[:3, :3] @ points  # it rounds to whole pixels
+                    pixels = (exact[:2] / exact[2]).T
+                    assert np.abs(whole - pixels)[ahead].max(initial=0.0) <= 0.5
                 key = f"object{box.annotationId - 1}@{frame}"
                 found["corners"][key] = corners.tolist()
                 seen[key] = {"corners": points.T.tolist(), "pixels": np.where(ahead[:, None], pixels, 0.0).tolist()}
