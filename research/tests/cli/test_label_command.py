@@ -14,7 +14,7 @@ from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.coco_keypoints import read_coco_keypoints
 from fgrecon.io.images import read_image
-from fgrecon.perception.keypoints import detect
+from fgrecon_research.cli.training import label
 from research.tests.annotation.streets import Car, Told, write_drive
 
 NEAR = Car((-2.0, 1.6, 9.0), 0.5)
@@ -32,7 +32,7 @@ def known(scene, monkeypatch):
         def __init__(self, weights):
             super().__init__(FRAMES, scene.prior)
 
-    monkeypatch.setattr(detect, "KeypointCascade", Network)
+    monkeypatch.setattr(label, "KeypointCascade", Network)
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ from fgrecon.io.files import check_output
 from fgrecon.perception.from_image import reconstruct_detection
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
-from fgrecon_research.cli.training.label_report import label_street
+from fgrecon_research.cli.training.label import label_street
 from fgrecon_research.paper.network import adjust_marked
 from fgrecon_research.training.keypoints.evaluate import (
     GROUPS,

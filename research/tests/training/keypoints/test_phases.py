@@ -16,7 +16,7 @@ from research.tests.training.keypoints.test_rounds import source  # noqa: F401 -
 
 pytest.importorskip("torch")
 
-from fgrecon_research.cli.training import label_report
+from fgrecon_research.cli.training import label
 from fgrecon_research.training.keypoints import rounds
 
 PRIOR = load_prior("car14")
@@ -68,7 +68,7 @@ def place(source, tmp_path_factory):  # noqa: F811
         write_drive(folder / "data" / name, PRIOR, FRAMES)
     with pytest.MonkeyPatch.context() as patch:
         make_small(source, patch)
-        patch.setattr(label_report, "KeypointCascade", Network)
+        patch.setattr(label, "KeypointCascade", Network)
         # A network that knows nothing would correct the photographs' labels to where no shape is.
         patch.setattr(rounds, "corrected", lambda _, first, *more: first)
         yield folder
@@ -267,5 +267,5 @@ def test_drives_of_which_no_car_can_be_labelled_are_refused(place, unbroken, tmp
     drive = write_drive(tmp_path / "empty", PRIOR, [{1: Car((0.0, 1.65, 90.0), 0.4)}])
     out = tmp_path / "labels.json"
     with pytest.raises(InvalidInputError, match=r"drives.*empty"):
-        label_report.label_street([drive], place / "whole.safetensors", out, lambda things, heading: things)
+        label.label_street([drive], place / "whole.safetensors", out, lambda things, heading: things)
     assert not out.exists()
