@@ -10,7 +10,7 @@ the graph, whose factors have the keypoints inside. Keypoints are the arrays tha
 keypoints returns, or makes and hands on. Every function counts where it is entered first; properties are no calls. A
 *place* is a stay in a file: one place as long as the calls that follow are in one file, another one where a file is
 come back to. They go *back up* where the room of a place is further down in the table of
-`docs/explanation/architecture.md`, which begins at the bottom, than that of the place before. `--way` prints the
+`docs/reference/rooms.md`, which begins at the bottom, than that of the place before. `--way` prints the
 places. It is the way through
 the compiled kernels: what they do is one place, and their numpy versions go through more. So measured they passed 38
 places and went back up 9 times when the budgets were set; a static walk, which follows branches that are not taken as
@@ -61,7 +61,7 @@ def lines_of(*folders: str) -> int:
 
 def rooms() -> dict[str, int]:
     """Place of each room in the layer table, from the bottom."""
-    table = (REPOSITORY / "docs/explanation/architecture.md").read_text(encoding="utf-8").partition("| room |")[2]
+    table = (REPOSITORY / "docs/reference/rooms.md").read_text(encoding="utf-8").partition("| room |")[2]
     names = re.findall(r"^\| (?:`([\w/]+)`|\(public names\)) \|", table.partition("\n\n")[0], re.MULTILINE)
     return {name: height for height, name in enumerate(names)}
 

@@ -1,4 +1,4 @@
-"""Imports go downwards only. This table is the house: docs/explanation/architecture.md says what is in each room."""
+"""Imports go downwards only. This table is the house: docs/reference/rooms.md says what is in each room."""
 
 import ast
 import sys

@@ -87,7 +87,8 @@ def reconstruct(
     start, factors = as_initial(initial, setup.prior), as_extra_factors(extra_factors)
     given = {"confidence": confidence, "box": box, "covariance": covariance}
     sensed = evidence_of(evidence, camera)
-    setup = replace(setup, ground=ground_by_points(sensed, setup.ground, camera, setup.options.disabled_terms))
+    if sensed:
+        setup = replace(setup, ground=ground_by_points(sensed, setup.ground, camera, setup.options.disabled_terms))
     observed = observe(keypoints, camera, setup.prior.category, setup.options, **given, evidence=sensed)
     if observed.warning is not None:
         warn_of(InputWarnings.of({"the vehicle": observed.warning}), stacklevel=3)
