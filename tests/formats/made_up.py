@@ -515,3 +515,59 @@ def write_waymo(root: Path, name: str = "1005081002024129653_5313_150_5333_150")
         ],
     )
     return root
+
+
+def write_kitti_raw(root: Path) -> Path:
+    """A drive of a day: two frames, poses by latitude and longitude, tracklets."""
+    day = root / "2011_09_26"
+    drive = day / "2011_09_26_drive_0001_sync"
+    drive.mkdir(parents=True)
+    numbers = lambda values: " ".join(map(repr, np.asarray(values, float).ravel().tolist()))  # noqa: E731
+    turn = Rotation.from_euler("xyz", [0.003, -0.002, 0.004]).as_matrix()
+    velo = pose([0.01, -0.005, 0.003], [0.27, 0.0, 0.08])
+    velo[:3, :3] = AHEAD.T @ velo[:3, :3]
+    imu = pose([0.002, 0.001, 0.014], [-0.81, 0.32, -0.8])
+    lines = []
+    for i, camera in enumerate((*CAMERAS, *CAMERAS)):
+        matrix = np.column_stack([CAMERAS[0].matrix, [-300.0 * i, 0.0, 0.0]])
+        lines += [
+            f"S_{i:02d}: 1.392e+03 5.12e+02",
+            f"K_{i:02d}: {numbers(camera.matrix)}",
+            f"D_{i:02d}: -0.3 0.2 0.0 0.0 0.0",
+        ]
+        lines += [f"R_{i:02d}: {numbers(np.eye(3))}", f"T_{i:02d}: 0 0 0", f"S_rect_{i:02d}: {WIDTH} {HEIGHT}"]
+        lines += [f"R_rect_{i:02d}: {numbers(turn)}", f"P_rect_{i:02d}: {numbers(matrix)}"]
+    (day / "calib_cam_to_cam.txt").write_text("\n".join(["calib_time: 09-Jan-2012 13:57:47", *lines]) + "\n")
+    for name, motion in (("velo_to_cam", velo), ("imu_to_velo", imu)):
+        text = f"calib_time: 15-Mar-2012\nR: {numbers(motion[:3, :3])}\nT: {numbers(motion[:3, 3])}\n"
+        (day / f"calib_{name}.txt").write_text(text)
+    stamps = "2011-09-26 13:02:25.900000123\n2011-09-26 13:02:26.000000123\n"
+    for folder in ("image_02", "image_03", "oxts", "velodyne_points"):
+        (drive / folder / "data").mkdir(parents=True)
+        (drive / folder / "timestamps.txt").write_text(stamps)
+    for frame in range(2):
+        numbers_of = [49.0 + 8e-6 * frame, 8.4 + 5e-6 * frame, 112.8, 0.02, -0.01, 3.1 + 0.1 * frame, *([0.0] * 24)]
+        (drive / f"oxts/data/{frame:010d}.txt").write_text(numbers(numbers_of))
+        np.zeros((3, 4), np.float32).tofile(drive / f"velodyne_points/data/{frame:010d}.bin")
+        for camera in ("image_02", "image_03"):
+            write_image(drive / camera / "data" / f"{frame:010d}.png")
+    (drive / "tracklet_labels.xml").write_text(_tracklets())
+    return day
+
+
+def _tracklets() -> str:
+    items = []
+    for v in VEHICLES:
+        rows = ""
+        for frame in range(2):
+            x, y, z = v.place[0] + 0.3 * frame, v.place[1], v.place[2] - v.size[2] / 2.0 - 1.7
+            fields = {"tx": x, "ty": y, "tz": z, "rx": 0, "ry": 0, "rz": float(v.heading), "state": 2, "occlusion": 0}
+            rows += f"<item>{''.join(f'<{k}>{n!r}</{k}>' for k, n in fields.items())}</item>"
+        length, width, height = v.size
+        items.append(
+            f"<item><objectType>Car</objectType><h>{height}</h><w>{width}</w><l>{length}</l><first_frame>0</first_frame>"
+            f"<poses><count>2</count>{rows}</poses></item>"
+        )
+    return (
+        f"<boost_serialization><tracklets><count>{len(items)}</count>{''.join(items)}</tracklets></boost_serialization>"
+    )

@@ -19,9 +19,10 @@ WRITERS = {
     "kitti360": made_up.write_kitti360,
     "cityscapes3d": made_up.write_cityscapes3d,
     "waymo": made_up.write_waymo,
+    "kitti_raw": made_up.write_kitti_raw,
 }
 ENVIRONMENTS = {"truckscenes": "nuscenes"}
-ROOTS = {"nuscenes": "v1.0-mini", "truckscenes": "v1.0-mini", "argoverse2": "val"}
+ROOTS = {"kitti_raw": "2011_09_26", "nuscenes": "v1.0-mini", "truckscenes": "v1.0-mini", "argoverse2": "val"}
 SEQUENCES = {"cityscapes3d": ("#aachen", "#bochum")}
 CAMERAS = {
     "nuscenes": "scene-0001/CAM_FRONT",
@@ -30,6 +31,7 @@ CAMERAS = {
     "kitti360": "image_00",
     "cityscapes3d": "aachen",
     "waymo": "FRONT",
+    "kitti_raw": "image_02",
 }
 METRES, PIXELS = 1e-6, 1e-3
 
@@ -214,3 +216,24 @@ def test_the_sweep_of_a_sample_is_in_the_cameras_frame(tmp_path):
     world_T_lidar = made_up.world_T_vehicle(made_up.TIMES_NS[0])  # its points are at the origin of the LiDAR
     expected = np.linalg.inv(frame.world_T_camera) @ world_T_lidar[:, 3]
     assert np.abs(lidar_points(frame)[0] - expected[:3]).max() < METRES
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "message"),
+    [
+        ("tracklet_labels.xml", lambda text: text.replace("<tx>14.0", "<tx>far"), r"item 0: tx: got far"),
+        ("tracklet_labels.xml", lambda text: text[:200], "XML"),
+        ("oxts/timestamps.txt", lambda text: text.replace("2011", "noon", 1), r"timestamps.txt:1: got noon"),
+        ("oxts/data/0000000001.txt", lambda text: text[:20], r"0000000001.txt.*6 numbers"),
+        (
+            "../calib_imu_to_velo.txt",
+            lambda text: text.replace("T:", "S:"),
+            r"calib_imu_to_velo.txt: T: got no such line",
+        ),
+    ],
+)
+def test_a_malformed_file_of_kittis_raw_data_is_named(tmp_path, file, change, message):
+    path = made_up.write_kitti_raw(tmp_path) / "2011_09_26_drive_0001_sync" / file
+    path.write_text(change(path.read_text()))
+    with pytest.raises(InvalidInputError, match=message):
+        open_drive(f"{tmp_path}#image_02")

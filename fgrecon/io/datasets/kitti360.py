@@ -21,6 +21,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.lens import MEI
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
+from fgrecon.io.datasets.lines import named_lines, named_matrix, numbers
 from fgrecon.io.files import read_text
 
 Array = NDArray[np.float64]
@@ -38,7 +39,6 @@ _KINDS = {13: "car", 14: "truck", 15: "trailer", 16: "caravan", 17: "motorcycle"
 }
 """Names by KITTI-360's numbers of the classes of things that move; its devkit's `kittiId`."""
 _CARS = {"car": "Car"}
-_FIX = "Give KITTI-360's files as they are."
 
 
 def _sequences(path: Path) -> dict[str, Path]:
@@ -63,15 +63,15 @@ def _read(name: str, path: Path) -> DataSequence:
         for frame, pose in poses.items()
         if frame in boxes
     }
-    mounts = _lines(path / "calibration" / "calib_cam_to_pose.txt")
-    intrinsics = _lines(path / "calibration" / "perspective.txt")
+    mounts = named_lines(path / "calibration" / "calib_cam_to_pose.txt")
+    intrinsics = named_lines(path / "calibration" / "perspective.txt")
     images = []
     for camera, part in _CAMERAS.items():
         own = path / "calibration" / f"{camera}.yaml"
         if part == "data_rgb" and not own.is_file():
             continue
         lens, turn = (_fisheye(own), np.eye(4)) if part == "data_rgb" else _lens(intrinsics, camera, path)
-        vehicle_T_camera = _matrix(mounts, camera, (3, 4), path) @ np.linalg.inv(turn)
+        vehicle_T_camera = named_matrix(mounts, camera, (3, 4), path / "calibration") @ np.linalg.inv(turn)
         folder = path / "data_2d_raw" / name / camera / part
         images += [
             CameraImage(
@@ -99,46 +99,24 @@ def _frames(path: Path) -> dict[int, Array]:
     for number, line in enumerate(read_text(path, "poses").splitlines(), start=1):
         if not line.strip():
             continue
-        values = _numbers(line.split(), 13, f"{path}:{number}")
+        values = numbers(line.split(), 13, f"{path}:{number}")
         found[int(values[0])] = np.vstack([values[1:].reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
     return found
 
 
-def _lines(path: Path) -> Mapping[str, list[str]]:
-    lines = (line.partition(":") for line in read_text(path, "calibration").splitlines())
-    return {name.strip(): values.split() for name, _, values in lines}
-
-
-def _matrix(lines: Mapping[str, list[str]], name: str, shape: tuple[int, int], path: Path) -> Array:
-    where = f"{path / 'calibration'}: {name}"
-    if name not in lines:
-        raise InvalidInputError(where, "no such line", _FIX)
-    return _numbers(lines[name], shape[0] * shape[1], where).reshape(shape)
-
-
-def _numbers(words: list[str], count: int, where: str) -> Array:
-    try:
-        values = np.array(words, dtype=np.float64)
-    except ValueError:
-        raise InvalidInputError(where, " ".join(words)[:80], f"Give {count} numbers.") from None
-    if len(values) != count or not np.isfinite(values).all():
-        raise InvalidInputError(where, " ".join(words)[:80], f"Give {count} numbers.")
-    return values
-
-
 def _lens(lines: Mapping[str, list[str]], camera: str, path: Path) -> tuple[Camera, Array]:
     """The rectified camera, and (4, 4) its turn from the camera as it is mounted."""
-    side = camera[-2:]
+    side, where = camera[-2:], path / "calibration" / "perspective.txt"
     turn = np.eye(4)
-    turn[:3, :3] = _matrix(lines, f"R_rect_{side}", (3, 3), path)
-    width, height = _matrix(lines, f"S_rect_{side}", (1, 2), path)[0].astype(int).tolist()
-    return Camera(_matrix(lines, f"P_rect_{side}", (3, 4), path)[:, :3], image_size=(width, height)), turn
+    turn[:3, :3] = named_matrix(lines, f"R_rect_{side}", (3, 3), where)
+    width, height = named_matrix(lines, f"S_rect_{side}", (1, 2), where)[0].astype(int).tolist()
+    return Camera(named_matrix(lines, f"P_rect_{side}", (3, 4), where)[:, :3], image_size=(width, height)), turn
 
 
 def _fisheye(file: Path) -> Camera:
     """The camera of a file as camodocal writes it; no two of its values have the same name."""
-    lines, names = _lines(file), ("gamma1", "gamma2", "u0", "v0", *_MEI, "image_width", "image_height")
-    values = [float(_matrix(lines, name, (1, 1), file.parent.parent)[0, 0]) for name in names]
+    lines, names = named_lines(file), ("gamma1", "gamma2", "u0", "v0", *_MEI, "image_width", "image_height")
+    values = [float(named_matrix(lines, name, (1, 1), file)[0, 0]) for name in names]
     fx, fy, cx, cy, *lens, width, height = values
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     return Camera(matrix, np.array(lens), (int(width), int(height)), distortion_model=MEI)
@@ -192,7 +170,7 @@ def _opencv(item: ET.Element, name: str, where: str) -> Array:
     parts = [] if node is None else [node.findtext(part) for part in ("rows", "cols", "data")]
     try:
         rows, columns, data = (part or "" for part in parts)
-        return _numbers(data.split(), int(rows) * int(columns), f"{where}{name}").reshape(int(rows), int(columns))
+        return numbers(data.split(), int(rows) * int(columns), f"{where}{name}").reshape(int(rows), int(columns))
     except ValueError:
         raise InvalidInputError(f"{where}{name}", "no matrix", "Give rows, cols and data.") from None
 
