@@ -17,6 +17,7 @@ seldom show the heading of the vehicle flipped from one to the next.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -44,6 +45,7 @@ from fgrecon.solve.inputs import SolveSetup, as_cameras, as_extra_factors, evide
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.result import results
+from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -154,7 +156,11 @@ def _posed(
             observation, doubt = observe(given, camera, setup.prior.category, setup.options)
             doubts.add(f"image {number}", doubt)
             scaled = with_scales([observation], camera, setup)[0]
-            problem, start = single_pose(scaled, camera, model, setup)
+            own = setup
+            if scaled.evidence:
+                off = setup.options.disabled_terms
+                own = replace(setup, ground=ground_by_points(scaled.evidence, setup.ground, camera, off))
+            problem, start = single_pose(scaled, camera, model, own)
         except (DegenerateProblemError, InvalidInputError) as error:
             bad = error if bad is None and isinstance(error, InvalidInputError) else bad
             refused[number] = str(error)

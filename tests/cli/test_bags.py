@@ -107,7 +107,7 @@ def test_what_does_not_fit_is_refused(bag, sample, tmp_path):
     for arguments, words in (
         (("--lidar", "/cloud"), r"Name a topic of points: /points"),
         (("--poses", "/gps"), r"Name a topic of odometry, or a frame of TF"),
-        (("--fps", "5"), r"tells the times"),
+        (("--fps", "5"), r"has the times"),
     ):
         refused = run("run", bag, "--out", tmp_path / "out", *arguments)
         assert isinstance(refused.exception, InvalidInputError)

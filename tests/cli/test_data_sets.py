@@ -90,7 +90,7 @@ def test_a_run_takes_camera_poses_and_times_from_the_data_set(followed):
 def test_a_data_set_has_no_frame_rate_of_ours(log, tmp_path):
     refused = run("run", f"{log}#ring_front_center", "--fps", "5", "--out", tmp_path / "out")
     assert isinstance(refused.exception, InvalidInputError)
-    assert "tells the times of its images" in str(refused.exception)
+    assert "has the times of its images" in str(refused.exception)
 
 
 def test_boxes_of_a_run_are_scored_against_its_labels(log, followed):
