@@ -232,7 +232,8 @@ class SceneOptions:
         str | None,
         typer.Option(
             metavar="FLEET",
-            help="How large vehicles are: kitti, apollo79, or length,width,height[,their spreads] in m.",
+            help="How large vehicles are: kitti, kitti_traffic (with vans), apollo79, or length,width,height[,their "
+            "spreads] in m.",
             show_default="as in the shape prior",
             autocompletion=FLEETS,
         ),
@@ -283,7 +284,7 @@ class LabelledScene:
         str,
         typer.Option(
             metavar="FLEET",
-            help="Size of the fleet: kitti, apollo79 or length,width,height in m; for images also none.",
+            help="Size of the fleet: kitti, kitti_traffic, apollo79 or length,width,height in m; for images also none.",
             autocompletion=FLEETS,
         ),
     ] = _KITTI

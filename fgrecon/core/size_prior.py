@@ -35,6 +35,8 @@ class SizePrior:
         allowed: (3,) standard deviations that a solve allows, metres; None for `sigma`. Keypoints err together and
             count too much in a solve, so that less than the fleet's own may be best.
         classes: Of vehicles that it is the sizes of; empty for a fleet's.
+        mixed: Whether the fleet's vans count as well as its cars: which a vehicle is, its image says
+            (`fgrecon.solve.fitted_class`).
     """
 
     name: str
@@ -43,6 +45,7 @@ class SizePrior:
     traffic: NDArray[np.float64] | None = None
     allowed: NDArray[np.float64] | None = None
     classes: tuple[str, ...] = ()
+    mixed: bool = False
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -174,18 +177,21 @@ class ClassSizes:
         return SizePrior(name, mean, sigma, moment, allowed, tuple(likely))
 
 
-SIZE_PRIORS = {
+_KITTI = SizePrior(
+    "kitti",
     # Measured: the 14,357 cars labelled in KITTI's object train split, and the boxes of the 78 ApolloCar3D models that
     # the default prior is learnt from (width without mirrors). Traffic: these cars and the 1,297 vans.
-    "kitti": SizePrior(
-        "kitti",
-        np.array([3.89, 1.62, 1.53]),
-        np.array([0.44, 0.11, 0.14]),
-        np.array([[0.368, 0.055, 0.098], [0.055, 0.020, 0.022], [0.098, 0.022, 0.062]]),
-        # Chosen on KITTI's video: what keypoints say of a car's height is what puts it nearer or farther. With half the
-        # spread cars are 5 % less off on average (docs/history/size.md).
-        np.array([0.44, 0.11, 0.07]),
-    ),
+    np.array([3.89, 1.62, 1.53]),
+    np.array([0.44, 0.11, 0.14]),
+    np.array([[0.368, 0.055, 0.098], [0.055, 0.020, 0.022], [0.098, 0.022, 0.062]]),
+    # Chosen on KITTI's video: what keypoints say of a car's height is what puts it nearer or farther. With half the
+    # spread cars are 5 % less off on average (docs/history/size.md).
+    np.array([0.44, 0.11, 0.07]),
+)
+
+SIZE_PRIORS = {
+    "kitti": _KITTI,
+    "kitti_traffic": replace(_KITTI, name="kitti_traffic", mixed=True),
     "apollo79": SizePrior("apollo79", np.array([4.57, 1.80, 1.59]), np.array([0.39, 0.09, 0.15])),
 }
 """The named fleets."""
@@ -198,7 +204,7 @@ SizesLike = SizePrior | str | Sequence[float] | NDArray[np.float64]
 
 
 def size_prior(value: SizesLike) -> SizePrior:
-    """A size prior by its name (`kitti`, `apollo79`) or from length, width, height[, sigma_l, sigma_w, sigma_h].
+    """A size prior by its name (`SIZE_PRIORS`) or from length, width, height[, sigma_l, sigma_w, sigma_h].
 
     Without spreads, 2 % of each dimension is assumed: the size is then as good as known.
 

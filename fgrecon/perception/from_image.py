@@ -174,7 +174,7 @@ def reconstruct_image(
         keypoint_detector: Finds the keypoints; None for the networks of the package. All boxes go to it in one call.
         prior: Shape prior, or its name, or the path of its file; of the category of the keypoint detector.
         ground: Ground plane; a number is the height in metres of a level camera; None assumes nothing.
-        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
+        size_prior: Fleet by name (`fgrecon.SIZE_PRIORS`), or a size prior; None takes sizes from the shape prior.
         options: Settings. Where the package's detector finds the boxes, `surface` is `detected`.
         together: Whether the vehicles share one ground that is a variable (`fgrecon.reconstruct_scene`); else, and
             where the pose is not to move with the shape (`joint=False`), each is solved alone. Where the focal length

@@ -116,13 +116,13 @@ class SolveSetup:
         return _of_class(self.prior, self.fleet, self.options.shape.basis_vectors, share)
 
 
-@lru_cache(maxsize=64)  # one object for one class, so that what is prepared for it is found again
+@lru_cache(maxsize=128)  # one object for one class, so that what is prepared for it is found again
 def _of_class(
     prior: ShapePrior, fleet: SizePrior | None, basis_vectors: int | None, share: tuple[tuple[str, float], ...]
 ) -> VehicleModel:
     """The prior prepared for a vehicle of each class with a probability, in a fleet."""
     sizes, probabilities = shipped_class_sizes(), dict(share)
-    of_sizes = fleet is not None and fleet.name == sizes.name
+    of_sizes = fleet is not None and (fleet.name == sizes.name or fleet.mixed)
     if fleet is None:
         if probabilities["car"] == 1.0:
             return prepare(prior, None, basis_vectors)

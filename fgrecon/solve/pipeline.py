@@ -20,6 +20,7 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.solve.depth_scale import with_scales
+from fgrecon.solve.fitted_class import with_fitted_classes
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.image_facing import single_pose
@@ -95,6 +96,7 @@ def reconstruct(
 
     started = perf_counter()
     observation, model = observed.observation, setup.model
+    (observation,) = with_fitted_classes([observation], camera, setup, setup.ground)
     if observation.evidence:
         model = setup.model_of([observation])
         (observation,) = with_scales([observation], camera, setup)

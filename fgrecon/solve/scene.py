@@ -82,7 +82,7 @@ def reconstruct_scene(
         prior: Shape prior, or its name, or the path of its file.
         ground: About where the ground is; a number is the height in metres of a level camera. None gives nothing: the
             vehicles say where it is.
-        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
+        size_prior: Fleet by name (`fgrecon.SIZE_PRIORS`), or a size prior; None takes sizes from the shape prior.
         options: Settings; `joint` must be set.
         boxes: What another detector says of each vehicle, None where it does not: factors on its pose, and a size in
             the place of `size_prior`.
@@ -133,7 +133,7 @@ def reconstruct_scenes(
         camera: The camera of all images, as in `reconstruct_scene`.
         prior: Shape prior, or its name, or the path of its file.
         ground: About where the ground is, in each image anew; a number is the height in metres of a level camera.
-        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
+        size_prior: Fleet by name (`fgrecon.SIZE_PRIORS`), or a size prior; None takes sizes from the shape prior.
         options: Settings; `joint` must be set.
 
     Returns:

@@ -34,6 +34,7 @@ from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
 from fgrecon.solve.depth_scale import with_scales
+from fgrecon.solve.fitted_class import with_fitted_classes
 from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, look_at_vehicles
 from fgrecon.solve.graph.records import graph_factors
 from fgrecon.solve.ground_filter import CameraFrame, GroundFilter
@@ -87,7 +88,7 @@ class Tracker:
 
         Args:
             prior: Shape prior, or its name, or the path of its file.
-            size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
+            size_prior: Fleet by name (`fgrecon.SIZE_PRIORS`), or a size prior; None takes sizes from the shape prior.
             options: Settings; `joint` must be set.
             window: Frames that are solved together when a new one comes, 2 to 100: that one, the one before it, and
                 some of the seconds before.
@@ -188,7 +189,7 @@ class Tracker:
         evidence: Sequence[Evidence],
     ) -> dict[int, VehicleEstimate]:
         """The estimates of a frame's vehicles; whatever is raised, the tracker is what it was."""
-        seen, refused = self._observe(observations, frame.camera, evidence)
+        seen, refused = self._observe(observations, frame, evidence)
 
         def look(ground: Ground | None) -> FrameVehicles:
             return look_at_vehicles(seen, frame, ground, self._tracks, self._setup, self._model)
@@ -239,10 +240,10 @@ class Tracker:
         raise InvalidInputError("time", time, fix)
 
     def _observe(
-        self, observations: Mapping[int, KeypointsLike], camera: Camera, evidence: Sequence[Evidence]
+        self, observations: Mapping[int, KeypointsLike], frame: CameraFrame, evidence: Sequence[Evidence]
     ) -> tuple[dict[int, Observation], dict[int, FgreconError]]:
         """The observations as they are solved from, and why others cannot be used."""
-        found: dict[int, Observation] = {}
+        camera, found = frame.camera, dict[int, Observation]()
         refused: dict[int, FgreconError] = {}
         doubts = InputWarnings()
         for name, given in observations.items():
@@ -254,6 +255,7 @@ class Tracker:
                 refused[name] = error
         warn_of(doubts, stacklevel=5)
         scaled = with_scales([*found.values()], camera, self._setup)
+        scaled = with_fitted_classes(scaled, camera, self._setup, frame.ground)
         coupled = couple_facings(scaled, camera, self._setup.prior, self._setup.options)
         return dict(zip(found, (with_its_points(one, camera) for one in coupled), strict=True)), refused
 

@@ -1,0 +1,65 @@
+"""A fleet with vans: which vehicle is one, its image says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fgrecon
+from fgrecon import VehicleClass
+from fgrecon.core.size_prior import SIZE_PRIORS
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.fitted_class import with_fitted_classes
+from fgrecon.solve.inputs import SolveSetup, as_ground
+from tests.cars import CAMERA, observe, yaw_pose
+
+VAN = np.array([5.0, 1.9, 2.2])
+PLACES = (2.0, 1.65, 18.0), (-3.0, 1.65, 24.0)
+SETUP = SolveSetup.of("car14", "kitti_traffic", None)
+
+
+@pytest.fixture(scope="module")
+def vehicles():
+    """A car and a van."""
+    prior = load_prior("car14")
+    priors = prior.for_fleet(SIZE_PRIORS["kitti"]), prior.for_fleet(fgrecon.SizePrior("van", VAN, 0.05 * VAN))
+    each = zip(priors, PLACES, strict=True)
+    return [observe(one, yaw_pose(2.0, place), noise=0.3, seed=3) for one, place in each]
+
+
+def off(result, place):
+    return float(np.linalg.norm(result.location - place))
+
+
+def test_a_van_is_told_from_a_car(vehicles):
+    car, van = (one.evidence[-1].probabilities["van"] for one in with_fitted_classes(vehicles, CAMERA, SETUP, None))
+    assert car < 0.2 < 0.5 < van
+    _, on_ground = with_fitted_classes(vehicles, CAMERA, SETUP, as_ground(1.65))
+    assert on_ground.evidence[-1].probabilities["van"] > van, "where it stands says how large it is"
+
+
+def test_whose_class_is_given_and_other_fleets_are_left_alone(vehicles):
+    told = [replace(vehicles[1], evidence=(VehicleClass("car"),))]
+    assert with_fitted_classes(told, CAMERA, SETUP, None) == told
+    assert with_fitted_classes(vehicles, CAMERA, SolveSetup.of("car14", "kitti", None), None) == vehicles
+    nothing = fgrecon.Observation.of(np.full((14, 2), np.nan))
+    assert with_fitted_classes([nothing], CAMERA, SETUP, None) == [nothing]
+
+
+def test_a_van_is_where_it_is(vehicles):
+    found, mixed = (
+        [fgrecon.reconstruct(one, CAMERA, size_prior=fleet, ground=1.65) for one in vehicles]
+        for fleet in ("kitti", "kitti_traffic")
+    )
+    assert off(mixed[1], PLACES[1]) < 0.5 * off(found[1], PLACES[1])
+    assert off(mixed[0], PLACES[0]) < off(found[0], PLACES[0]) + 0.3
+    scene = fgrecon.reconstruct_scene(vehicles, CAMERA, size_prior="kitti_traffic", ground=1.65)
+    assert off(scene.vehicles[1], PLACES[1]) < 0.5 * off(found[1], PLACES[1])
+
+
+def test_over_time_all_frames_say_which_it_is(vehicles):
+    tracker = fgrecon.Tracker(size_prior="kitti_traffic", shared_ground=True)
+    for time in (0.0, 0.1, 0.2):
+        estimates = tracker.update(time, dict(enumerate(vehicles)), camera=CAMERA, ground=1.65)
+    assert off(estimates[1].reconstruction, PLACES[1]) < 1.5
+    assert off(estimates[0].reconstruction, PLACES[0]) < 1.0
