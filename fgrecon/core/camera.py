@@ -136,7 +136,7 @@ class Camera:
         return replace(cls.of_field_of_view(width, height), focal_sigma=ANY_FOCAL_SIGMA)
 
     def with_distortion(self, coefficients: ArrayLike | None) -> Camera:
-        """The camera with OpenCV's coefficients in the place of its lens; None for a pinhole.
+        """The camera with OpenCV's coefficients instead of its lens; None for a pinhole.
 
         Raises:
             InvalidInputError: The number of coefficients is wrong.
@@ -237,7 +237,7 @@ class Camera:
     def undistort(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Pixels (M, 2) as the ideal pinhole camera with the same K sees them; NaN rows stay NaN.
 
-        Of a fisheye what lies more than `lens.WIDEST_DEGREES` to the side is NaN too.
+        Of a fisheye what is more than `lens.WIDEST_DEGREES` to the side is NaN too.
 
         Raises:
             InvalidInputError: They are no such numbers.
