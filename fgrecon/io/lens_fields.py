@@ -89,7 +89,8 @@ def read_lens(fields: Fields) -> dict[str, Any]:
     """
     fisheye = any(fields.data[field] not in (0, False, "0", "false") for field in _named(fields.data, FISHEYES))
     model = FISHEYE if fisheye else OPENCV
-    for field in _named(fields.data, MODELS):
+    loose = [field for field in _named(fields.data, frozenset(["model"])) if _bare(fields.data[field]) in LENSES]
+    for field in [*_named(fields.data, MODELS), *loose]:  # `model` may be that of a network as well
         named = _bare(fields.data[field])
         if named and named not in LENSES:
             raise InvalidInputError(f"{fields.where}{field}", fields.data[field], UNSOLVED)

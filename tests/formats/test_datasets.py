@@ -222,6 +222,7 @@ def test_the_sweep_of_a_sample_is_in_the_cameras_frame(tmp_path):
     ("file", "change", "message"),
     [
         ("tracklet_labels.xml", lambda text: text.replace("<tx>14.0", "<tx>far"), r"item 0: tx: got far"),
+        ("tracklet_labels.xml", lambda text: text.replace("<w>1.8", "<w>-1.8", 1), r"item 0: h, w, l: got"),
         ("tracklet_labels.xml", lambda text: text[:200], "XML"),
         ("oxts/timestamps.txt", lambda text: text.replace("2011", "noon", 1), r"timestamps.txt:1: got noon"),
         ("oxts/data/0000000001.txt", lambda text: text[:20], r"0000000001.txt.*6 numbers"),

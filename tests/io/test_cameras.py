@@ -303,6 +303,13 @@ def test_the_lens_by_any_usual_name_beside_a_nested_matrix(tmp_path, name, size)
     assert camera.image_size == (960, 600)
 
 
+@pytest.mark.parametrize(("model", "lens"), [("equidistant", "fisheye"), ("pinhole", "opencv"), ("yolov8n", "opencv")])
+def test_a_model_beside_the_numbers_is_that_of_the_lens_where_it_is_one(tmp_path, model, lens):
+    (tmp_path / "front.json").write_text(json.dumps({"model": model, "K": NESTED, "D": COEFFICIENTS[:4], "rms": 0.3}))
+    camera = read_camera(tmp_path / "front.json").camera
+    assert (camera.distortion_model, camera.distortion.tolist()) == (lens, COEFFICIENTS[:4])
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [

@@ -145,9 +145,13 @@ def test_vins(tmp_path):
     fisheye = VINS[: VINS.index("distortion")].replace("PINHOLE", "KANNALA_BRANDT") + "projection_parameters:\n"
     numbers = zip(("k2", "k3", "k4", "k5", "mu", "mv", "u0", "v0"), [*LENS, FX, FY, CX, CY], strict=True)
     fisheye += "".join(f"   {name}: {number}\n" for name, number in numbers)
-    camera = read_camera(write(path, fisheye)).camera
-    assert (camera.distortion_model, camera.distortion.tolist()) == ("fisheye", LENS)
-    assert camera.matrix.tolist() == MATRIX
+    beside = fisheye.replace("projection_parameters", "distortion_parameters").replace(
+        "   mu", "projection_parameters:\n   mu"
+    )
+    for text in (fisheye, beside):
+        camera = read_camera(write(path, text)).camera
+        assert (camera.distortion_model, camera.distortion.tolist()) == ("fisheye", LENS)
+        assert camera.matrix.tolist() == MATRIX
     with pytest.raises(InvalidInputError, match=r"projection_parameters\.cy"):
         read_camera(write(path, VINS[: VINS.index("   cy")]))
 

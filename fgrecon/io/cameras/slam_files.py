@@ -85,7 +85,8 @@ def _of_vins(fields: Fields) -> Camera:
         Fields(fields.data.get(f"{part}_parameters") or {}, f"{fields.where}{part}_parameters.")
         for part in ("mirror", "distortion", "projection")
     )
-    if model == FISHEYE:  # its k2 is the factor of the angle's third power
+    if model == FISHEYE:  # its k2 is the factor of the angle's third power; converters write them beside the lens
+        focal = Fields({**lens.data, **focal.data}, focal.where)
         names, coefficients = ("mu", "mv", "u0", "v0"), [_number(focal, name) for name in ("k2", "k3", "k4", "k5")]
     elif model == MEI:
         names = "gamma1", "gamma2", "u0", "v0"

@@ -144,6 +144,8 @@ def _boxes(path: Path) -> dict[int, list[tuple[str, str, Array, Array, int]]]:
     for number, item in enumerate(root.findall("./tracklets/item")):
         where = f"{path}: item {number}: "
         height, width, length, first = (_number(item, name, where) for name in ("h", "w", "l", "first_frame"))
+        if min(height, width, length) <= 0.0:
+            raise InvalidInputError(f"{where}h, w, l", [height, width, length], "Give metres above 0.")
         for step, row in enumerate(item.findall("./poses/item")):
             x, y, z, yaw, grade = (_number(row, name, where) for name in ("tx", "ty", "tz", "rz", "occlusion"))
             pose = np.eye(4)
