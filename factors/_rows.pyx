@@ -7,10 +7,12 @@ a variable is handed over as: a pose as R row by row and t (12 numbers), a vecto
 and the tangent basis of its normal row by row (10 numbers).
 """
 
-from libc.math cimport NAN, cos, isnan, sin, sqrt
-from libc.string cimport memset
+from libc.math cimport INFINITY, NAN, cos, fabs, isnan, sin, sqrt
+from libc.string cimport memcpy, memset
 
 import numpy as np
+
+cdef double SINGULAR = 1e-15  # share of a number of the diagonal that rounding may leave of none
 
 
 cdef class Source:
@@ -432,10 +434,10 @@ cdef void backwards(const double *R, const double *t, double *A) noexcept nogil:
 
 
 cdef class _Place:
-    """A source in a system: where its variables are, its noise, and the linear factor that it is added to."""
+    """A source in a system: where its variables are, and its noise."""
 
     cdef Source source
-    cdef int count, graphs, group, first  # of its variables; bits of graphs; linear factor; first of `Rows.columns`
+    cdef int count, graphs, first  # of its variables; bits of graphs; first of `Rows.columns`
     cdef int slots[8]  # where each variable is in `Rows.state`; -1 for one that there is not
     cdef const double[:, ::1] whitener
     cdef bint whitened
@@ -443,51 +445,55 @@ cdef class _Place:
 
 
 cdef class Rows:
-    """Sources with their variables, evaluated together.
+    """Sources with their variables, evaluated together; the step to the minimum of what they are near a point.
+
+    A point is the numbers of all variables, a step is local coordinates of one after the other. The quadratic form is
+    kept as a lower triangle, each row from its first column that any source fills: Cholesky's factor fills no other. Its
+    last row is J'(-r). So variables cost least where those that many others share come last.
 
     Attributes:
-        information: Of each linear factor the matrix (D + 1, D + 1) of its quadratic form: J'J, and -J'r beside it.
+        size: Numbers of a step.
     """
 
-    cdef readonly list information
+    cdef readonly int size
     cdef list places
     cdef double[::1] state  # the variables, then constants
-    cdef int[::1] starts, columns, where
+    cdef int numbers  # of a point
+    cdef int[::1] starts, begins  # of each variable in a point and in a step, and their ends
+    cdef int[::1] columns, sorted  # of all sources' Jacobians where in a step; a source's columns in that order
+    cdef int[::1] heads  # (size + 1,) first column of each row of the form
+    cdef Py_ssize_t[::1] lines  # (size + 2,) where column 0 of each row would be in `form` and `root`; their length
+    cdef double[::1] form, root
     cdef double[::1] r, J, spare
+    cdef int[::1] where
 
-    def __init__(self, list variables, list groups, list places):
+    def __init__(self, list variables, list places):
         """Bind the sources.
 
         Args:
             variables: Numbers and dimension of each variable.
-            groups: Of each linear factor its columns, and where the variables begin in them, by index.
-            places: Of each source: the source; the bits of the graphs that it is in; the index of its linear factor; for each of its
-                variables the index, a constant (n,) or None for none; the whitener (rows, rows), upper triangular, or
-                None where the rows are whitened; GTSAM's robust estimator or None.
+            places: Of each source: the source; the bits of the graphs that it is in; for each of its variables the
+                index, a constant (n,) or None for none; the whitener (rows, rows), upper triangular, or None where the
+                rows are whitened; GTSAM's robust estimator or None.
         """
         cdef _Place place
         cdef Source source
-        cdef int i, j, start, given, rows = 1, jacobian = 1, width = 1, total = 0
-        cdef list begins = [], constants = [], sizes = [size for size, _ in variables]
-        cdef dict begin
-        self.starts = np.cumsum([0, *sizes]).astype(np.intc)
-        end = self.starts[len(sizes)]
-        self.information, self.places = [], []
-        for width_of, begin in groups:
-            begins.append(begin)
-            self.information.append(np.zeros((width_of + 1, width_of + 1)))
-        columns = np.empty(sum([(<Source> each[0]).columns for each in places]) + 1, dtype=np.intc)
-        self.columns = columns
-        for source, graphs, group, bound, whitener, robust in places:
+        cdef int i, j, start, given, rows = 1, jacobian = 1, width = 1, total = 0, end
+        cdef list constants = []
+        self.starts = np.cumsum([0, *[size for size, _ in variables]]).astype(np.intc)
+        self.begins = np.cumsum([0, *[dim for _, dim in variables]]).astype(np.intc)
+        self.numbers = end = self.starts[len(variables)]
+        self.size, self.places = self.begins[len(variables)], []
+        self.columns = np.empty(sum([(<Source> each[0]).columns for each in places]) + 1, dtype=np.intc)
+        for source, graphs, bound, whitener, robust in places:
             place = _Place()
-            place.graphs = graphs
-            place.source, place.group, place.robust, place.count, place.first = source, group, robust, len(bound), total
-            begin = begins[group]
+            place.source, place.graphs, place.robust, place.count, place.first = source, graphs, robust, len(bound), total
             for i, (variable, (size, dim, needed)) in enumerate(zip(bound, source.takes, strict=True)):
                 start, given = -1, size
                 place.slots[i] = -1
                 if isinstance(variable, int):
-                    given, start, place.slots[i] = sizes[variable], begin[variable], self.starts[variable]
+                    start, place.slots[i] = self.begins[variable], self.starts[variable]
+                    given = self.starts[variable + 1] - place.slots[i]
                 elif variable is not None:
                     given, place.slots[i] = len(variable), end
                     constants.append(variable)
@@ -509,55 +515,218 @@ cdef class Rows:
             self.places.append(place)
         state = np.zeros(end + 1)
         if constants:
-            state[self.starts[len(sizes)]:end] = np.concatenate(constants)
+            state[self.numbers:end] = np.concatenate(constants)
         self.state, self.r, self.J = state, np.empty(rows), np.empty(jacobian)
         self.spare, self.where = np.empty(width + 1), np.empty(width + 1, dtype=np.intc)
+        self.outline()
 
-    def load(self, list variables):
-        """Take over the variables' numbers; a pose (4, 4) or (12,)."""
+    cdef int outline(self) except -1:
+        """Find which numbers of the quadratic form may be filled, and the order of each source's columns."""
+        cdef _Place place
+        cdef int i, j, least, most = self.size
+        self.sorted = np.empty(self.columns.shape[0], dtype=np.intc)
+        self.heads = np.arange(most + 1, dtype=np.intc)
+        self.lines = np.empty(most + 2, dtype=np.intp)
+        columns = np.asarray(self.columns)
+        for place in self.places:
+            own = columns[place.first:place.first + place.source.columns]
+            np.asarray(self.sorted)[place.first:place.first + len(own)] = np.argsort(own, kind="stable")
+            least = most
+            for i in range(place.source.columns):
+                j = self.columns[place.first + i]
+                least = j if 0 <= j < least else least
+            for i in range(place.source.columns):
+                j = self.columns[place.first + i]
+                if j >= 0 and least < self.heads[j]:
+                    self.heads[j] = least
+        self.heads[most] = 0
+        self.lines[0] = 0
+        for i in range(most + 1):  # a row is moved back by its first column
+            self.lines[i + 1] = self.lines[i] + i + 1 - self.heads[i]
+        for i in range(most + 1):
+            self.lines[i] -= self.heads[i]
+        self.form, self.root = np.empty(self.lines[most + 1]), np.empty(self.lines[most + 1])
+        return 0
+
+    def point(self, list variables):
+        """(n,) numbers of variables; a pose is (4, 4)."""
         cdef const double[:, :] pose
         cdef const double[::1] vector
-        cdef int i, j, start, end
+        cdef int i, j, start
+        found = np.empty(self.numbers)
+        cdef double[::1] numbers = found
+        if len(variables) != self.starts.shape[0] - 1:
+            raise ValueError(f"{self.starts.shape[0] - 1} variables are expected")
         for i in range(len(variables)):
-            start, end = self.starts[i], self.starts[i + 1]
+            start = self.starts[i]
             if variables[i].ndim == 2:
                 pose = variables[i]
-                for j in range(9):
-                    self.state[start + j] = pose[j // 3, j % 3]
-                for j in range(3):
-                    self.state[start + 9 + j] = pose[j, 3]
+                if self.starts[i + 1] - start != 12 or pose.shape[0] != 4 or pose.shape[1] != 4:
+                    raise ValueError("a variable of another size")
+                for j in range(12):
+                    numbers[start + j] = pose[j // 3, j % 3] if j < 9 else pose[j - 9, 3]
                 continue
             vector = variables[i]
-            if vector.shape[0] != end - start:
+            if vector.shape[0] != self.starts[i + 1] - start:
                 raise ValueError("a variable of another size")
-            for j in range(end - start):
-                self.state[start + j] = vector[j]
+            for j in range(vector.shape[0]):
+                numbers[start + j] = vector[j]
+        return found
 
-    def error(self, int graph):
-        """Energy of a graph (its bit) at the variables that were loaded, nats."""
+    def moved(self, const double[::1] point, const double[::1] step):
+        """The point (n,) that a step (size,) leads to."""
+        cdef int i, j, start, begin, count
+        cdef double[::1] there
+        if point.shape[0] != self.numbers or step.shape[0] != self.size:
+            raise ValueError(f"a point ({self.numbers},) and a step ({self.size},) are expected")
+        found = np.empty(self.numbers)
+        there = found
+        for i in range(self.starts.shape[0] - 1):
+            start, begin, count = self.starts[i], self.begins[i], self.begins[i + 1] - self.begins[i]
+            if count == self.starts[i + 1] - start:
+                for j in range(count):
+                    there[start + j] = point[start + j] + step[begin + j]
+            elif count == 6:
+                move_pose(&point[start], &step[begin], &there[start])
+            else:
+                move_plane(&point[start], &step[begin], &there[start])
+        return found
+
+    cdef int go(self, const double[::1] point) except -1:
+        """Take over a point's numbers."""
+        if point.shape[0] != self.numbers:
+            raise ValueError(f"a point ({self.numbers},) is expected")
+        if self.numbers:
+            memcpy(&self.state[0], &point[0], self.numbers * sizeof(double))
+        return 0
+
+    def error(self, const double[::1] point, int graph):
+        """Energy of a graph (its bit) at a point, nats."""
         cdef _Place place
         cdef double total = 0.0
+        self.go(point)
         for place in self.places:
             if place.graphs & graph:
                 total += self.evaluated(place, False)
         return total
 
-    def linearise(self, int graph):
-        """Energy of a graph at the variables that were loaded, nats, and `information`."""
+    def linearise(self, const double[::1] point, int graph):
+        """Energy of a graph at a point, nats; its quadratic form there is what `step` and others are about from then on."""
         cdef _Place place
-        cdef double[:, ::1] matrix
         cdef double total = 0.0
-        for matrix in self.information:
-            memset(&matrix[0, 0], 0, matrix.shape[0] * matrix.shape[1] * sizeof(double))
+        self.go(point)
+        memset(&self.form[0], 0, self.form.shape[0] * sizeof(double))
         for place in self.places:
             if place.graphs & graph:
                 total += self.evaluated(place, True)
         return total
 
-    def judge(self, looks):
-        """What the sources that judge find out of the variables that were loaded.
+    def information(self):
+        """(size + 1, size + 1) the quadratic form: J'J, and beside it J'(-r)."""
+        cdef int i, j
+        found = np.zeros((self.size + 1, self.size + 1))
+        cdef double[:, ::1] full = found
+        for i in range(self.size + 1):
+            for j in range(self.heads[i], i + 1):
+                full[i, j] = full[j, i] = self.form[self.lines[i] + j]
+        return found
+
+    def step(self):
+        """(size,) to the minimum of the quadratic form; None where it has none."""
+        cdef int i, k, n = self.size
+        cdef double *row
+        cdef double s
+        cdef bint determined
+        found = np.empty(n)
+        cdef double[::1] x = found
+        with nogil:
+            determined = self.factorised(SINGULAR)
+            if determined:
+                row = &self.root[0] + self.lines[n]
+                for i in range(n):
+                    x[i] = row[i]
+                for i in range(n - 1, -1, -1):
+                    row = &self.root[0] + self.lines[i]
+                    s = x[i] = x[i] / row[i]
+                    for k in range(self.heads[i], i):
+                        x[k] -= s * row[k]
+        return found if determined else None
+
+    def covariance(self, int begin, double least):
+        """The inverse of the quadratic form, as far as it is where Cholesky's factor is (Takahashi et al. 1973).
 
         Args:
+            begin: Of the rows from here on.
+            least: Share of a row's information that all before it must leave.
+
+        Returns:
+            A function from indices (m,) of a step to (m, m) of the inverse; None where it has none.
+        """
+        cdef int i, k, n = self.size, count
+        cdef double[::1] Z, shares, sums
+        cdef int[::1] below
+        cdef double *row
+        if not 0 <= begin <= n:
+            raise ValueError("a place in a step is expected")
+        if not self.factorised(least):
+            return None
+        Z, shares, sums = np.empty(self.root.shape[0]), np.empty(n + 1), np.empty(n + 1)
+        below = np.empty(n + 1, dtype=np.intc)
+        with nogil:
+            for i in range(n - 1, begin - 1, -1):
+                count = 0
+                for k in range(i + 1, n):
+                    if self.heads[k] <= i:
+                        below[count], shares[count] = k, self.root[self.lines[k] + i]
+                        count += 1
+                self.column(i, &below[0], &shares[0], count, &Z[0], &sums[0])
+        return Inverse(self, begin, Z)
+
+    cdef void column(
+        self, int i, const int *below, const double *shares, int count, double *Z, double *sums
+    ) noexcept nogil:
+        """Column i of the inverse, from those after it; `shares` is the factor's in the rows below."""
+        cdef int j, k
+        cdef double pivot = self.root[self.lines[i] + i], z, total = 0.0
+        cdef double *row
+        memset(sums, 0, count * sizeof(double))
+        for j in range(count):
+            row = Z + self.lines[below[j]]
+            for k in range(j):
+                z = row[below[k]]
+                sums[j] += z * shares[k]
+                sums[k] += z * shares[j]
+            sums[j] += row[below[j]] * shares[j]
+        for j in range(count):
+            Z[self.lines[below[j]] + i] = -sums[j] / pivot
+            total += shares[j] * sums[j]
+        Z[self.lines[i] + i] = (1.0 + total) / (pivot * pivot)
+
+    cdef bint factorised(self, double least) noexcept nogil:
+        """Cholesky's factor of the quadratic form; False where so small a share of a number of its diagonal is left."""
+        cdef int i, j, both, n = self.size
+        cdef double s
+        cdef double *row
+        cdef double *other
+        for i in range(n + 1):
+            row = &self.root[0] + self.lines[i]
+            for j in range(self.heads[i], i):
+                other = &self.root[0] + self.lines[j]
+                both = max(self.heads[i], self.heads[j])
+                row[j] = (self.form[self.lines[i] + j] - inner(row + both, other + both, j - both)) / other[j]
+            if i < n:
+                s = self.form[self.lines[i] + i]
+                row[i] = s - inner(row + self.heads[i], row + self.heads[i], i - self.heads[i])
+                if not least * s < row[i] < INFINITY:
+                    return False
+                row[i] = sqrt(row[i])
+        return True
+
+    def judge(self, const double[::1] point, looks):
+        """What the sources that judge find out of a point.
+
+        Args:
+            point: (n,).
             looks: Of each of them whether all of it is made anew.
 
         Returns:
@@ -568,6 +737,7 @@ cdef class Rows:
         cdef double[::1] found
         cdef list own = [each for each in self.places if (<_Place> each).source.judged]
         every = [np.empty((<_Place> each).source.judged) for each in own]
+        self.go(point)
         for place, found, look in zip(own, every, looks, strict=True):
             self.bound(place, at)
             place.source.judge(at, look, &found[0])
@@ -584,7 +754,6 @@ cdef class Rows:
         cdef double *J = &self.J[0] if want else NULL
         cdef double *r = &self.r[0]
         cdef int i, rows = place.source.rows, columns = place.source.columns
-        cdef double[:, ::1] information
         self.bound(place, at)
         with nogil:
             if want:
@@ -601,11 +770,120 @@ cdef class Rows:
             if want:
                 weight = place.robust.weight(sqrt(squares))
         if want:
-            information = self.information[place.group]
             with nogil:
-                add(r, J, rows, columns, &self.columns[place.first], weight, &information[0, 0],
-                    information.shape[0], &self.spare[0], &self.where[0])
+                self.add(r, J, rows, columns, &self.columns[place.first], &self.sorted[place.first], weight)
         return energy
+
+    cdef void add(
+        self, const double *r, const double *J, int rows, int columns, const int *place, const int *order, double weight
+    ) noexcept nogil:
+        """Add weighted rows to the quadratic form."""
+        cdef int i, j, k, count
+        cdef double value
+        cdef double *values = &self.spare[0]
+        cdef double *line
+        cdef int *where = &self.where[0]
+        for i in range(rows):
+            count = 0
+            for j in range(columns):
+                k = order[j]
+                if J[i * columns + k] != 0.0 and place[k] >= 0:
+                    values[count], where[count] = J[i * columns + k], place[k]
+                    count += 1
+            values[count], where[count] = -r[i], self.size
+            count += 1
+            for j in range(count):
+                value = weight * values[j]
+                line = &self.form[0] + self.lines[where[j]]
+                for k in range(j + 1):
+                    line[where[k]] += value * values[k]
+
+
+cdef class Inverse:
+    """Numbers of the inverse of a quadratic form: `Rows.covariance`."""
+
+    cdef Rows rows
+    cdef int begin
+    cdef const double[::1] numbers
+
+    def __init__(self, Rows rows, int begin, const double[::1] numbers):
+        """Bind the numbers."""
+        self.rows, self.begin, self.numbers = rows, begin, numbers
+
+    def __call__(self, const Py_ssize_t[::1] indices):
+        """(m, m) of the inverse by indices (m,) of a step.
+
+        Raises:
+            KeyError: Variables of which nothing is about both.
+        """
+        cdef int i, j, m = indices.shape[0]
+        cdef Py_ssize_t high, low
+        found = np.empty((m, m))
+        cdef double[:, ::1] block = found
+        for i in range(m):
+            for j in range(i + 1):
+                high, low = max(indices[i], indices[j]), min(indices[i], indices[j])
+                if not self.begin <= low <= high < self.rows.size or low < self.rows.heads[high]:
+                    raise KeyError(f"numbers {low} and {high} of a step")
+                block[i, j] = block[j, i] = self.numbers[self.rows.lines[high] + low]
+        return found
+
+
+cdef inline double inner(const double *a, const double *b, int n) noexcept nogil:
+    """a . b, in four sums that need not wait for one another."""
+    cdef double s = 0.0, t = 0.0, u = 0.0, v = 0.0
+    cdef int i = 0
+    while i + 4 <= n:
+        s += a[i] * b[i]
+        t += a[i + 1] * b[i + 1]
+        u += a[i + 2] * b[i + 2]
+        v += a[i + 3] * b[i + 3]
+        i += 4
+    while i < n:
+        s += a[i] * b[i]
+        i += 1
+    return (s + t) + (u + v)
+
+
+cdef void move_pose(const double *X, const double *xi, double *moved) noexcept nogil:
+    """X exp(xi), as GTSAM's retraction."""
+    cdef double E[9]
+    cdef double V[9]
+    cdef double shift[3]
+    cdef int i
+    turn_and_slide(xi, shares(xi[0] * xi[0] + xi[1] * xi[1] + xi[2] * xi[2]), E, V)
+    multiply(X, E, 3, 3, 3, moved)
+    multiply(V, xi + 3, 3, 3, 1, shift)
+    multiply(X, shift, 3, 3, 1, moved + 9)
+    for i in range(3):
+        moved[9 + i] += X[9 + i]
+
+
+cdef void move_plane(const double *plane, const double *xi, double *moved) noexcept nogil:
+    """As GTSAM's retraction: the normal along a great circle; its new tangent basis is across its least axis."""
+    cdef double slide[3]
+    cdef double angle = 0.0, length = 0.0, share
+    cdef double *n = moved
+    cdef int a, least = 0
+    for a in range(3):
+        slide[a] = plane[4 + 2 * a] * xi[0] + plane[5 + 2 * a] * xi[1]
+        angle += slide[a] * slide[a]
+    angle = sqrt(angle)
+    share = sin(angle) / angle if angle > 0.0 else 1.0
+    for a in range(3):
+        n[a] = cos(angle) * plane[a] + share * slide[a]
+        length += n[a] * n[a]
+    for a in range(3):
+        n[a] /= sqrt(length)
+        least = a if fabs(n[a]) < fabs(n[least]) else least
+    moved[3] = plane[3] + xi[2]
+    cdef int b = (least + 1) % 3, c = (least + 2) % 3
+    length = sqrt(n[b] * n[b] + n[c] * n[c])
+    moved[4 + 2 * least] = 0.0  # the cross product of the normal with the axis, and of the normal with that
+    moved[4 + 2 * b], moved[4 + 2 * c] = n[c] / length, -n[b] / length
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        moved[5 + 2 * a] = n[b] * moved[4 + 2 * c] - n[c] * moved[4 + 2 * b]
 
 
 cdef void whiten(
@@ -625,24 +903,3 @@ cdef void whiten(
             if R[i, j] != 0.0:
                 for k in range(columns):
                     J[i * columns + k] += R[i, j] * J[j * columns + k]
-
-
-cdef void add(
-    const double *r, const double *J, int rows, int columns, const int *place, double weight, double *H, int width,
-    double *values, int *where
-) noexcept nogil:
-    """Add weighted rows to the quadratic form (width, width), whose last column is that of minus the residual."""
-    cdef int i, j, k, count
-    cdef double value
-    for i in range(rows):
-        count = 0
-        for j in range(columns):
-            if J[i * columns + j] != 0.0 and place[j] >= 0:
-                values[count], where[count] = J[i * columns + j], place[j]
-                count += 1
-        values[count], where[count] = -r[i], width - 1
-        count += 1
-        for j in range(count):
-            value = weight * values[j]
-            for k in range(count):
-                H[where[j] * width + where[k]] += value * values[k]

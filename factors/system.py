@@ -1,15 +1,19 @@
-"""Factors linearised together: what is compiled in one call, the others by GTSAM.
+"""Factors linearised and solved together, one set of values after the other.
 
-GTSAM solves: it gets a linear graph. A factor that has compiled rows (`factors.guard.CompiledRows`) is in it as part
-of a `HessianFactor`, which has all of them that are about the same variables, three at most, or in a small graph
-simply all; its noise model whitens and weighs them as GTSAM would. Any other factor, such as one of the caller's own,
-is linearised by GTSAM, which calls it back through `factors.guard` where it is Python's. A new kind of rows takes part
-by handing `guarded_factor` its `Source` (`factors/_rows.pyx`).
+Where all factors have compiled rows (`factors.guard.CompiledRows`), which is so unless there are some of the caller's
+own, `CompiledSystem` linearises them in one call and eliminates by Cholesky (`factors/_rows.pyx`). Else GTSAM does it:
+`MixedSystem` gives it a linear graph, where what is compiled is part of a `HessianFactor` for each three variables at
+most, and the others are linearised by GTSAM, which calls them back through `factors.guard` where they are Python's. A
+new kind of rows takes part by handing `guarded_factor` its `Source`.
+
+A system has points: where it is evaluated. Those of a compiled one are arrays, which cost nothing to move.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -18,190 +22,279 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.guard import CompiledRows
+from factors.keys import decode_key
 from factors.native import native
 
 Array = NDArray[np.float64]
+Point = Any
+"""Values of all variables as a system has them: an array, or `gtsam.Values`."""
 
 _FIRST, _SECOND = 1, 2
 _MOST_KEYS = 3
 """Variables of a linear factor that GTSAM's Python package makes."""
-_DENSE = 128
-"""Numbers of a step up to which one dense factor is solved faster than many sparse ones: a window of five frames."""
 
 
-class System:
-    """Factors of one graph, or of two about the same variables, linearised at one set of values after the other.
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """A factor of a system: its compiled rows if it has them, and the bits of the graphs that it is in."""
 
-    A step is a vector of local coordinates, of one variable after the other in the order of the keys.
+    factor: Any
+    rows: CompiledRows | None
+    graphs: int
+
+
+def system_of(
+    factors: Iterable[Any], values: gtsam.Values, others: Iterable[Any] | None = None
+) -> CompiledSystem | MixedSystem:
+    """The system of factors, which may be their compiled rows alone.
+
+    Args:
+        factors: The factors, as the solver gets them.
+        values: All variables.
+        others: Those of another graph of the same variables, some of them the same; None for one graph alone.
+    """
+    every: dict[int, tuple[Any, int]] = {}
+    for graph, some in ((_FIRST, factors), (_SECOND, [] if others is None else others)):
+        for factor in some:
+            every[id(factor)] = factor, graph | every.get(id(factor), (None, 0))[1]
+    compiles = native("factors._rows") is not None
+    members = [_Member(factor, _rows_of(factor) if compiles else None, graphs) for factor, graphs in every.values()]
+    known = {key for member in members if member.rows is not None for key in member.rows.keys}
+    if all(member.rows is not None for member in members) and known.issuperset(values.keys()):
+        return CompiledSystem(members, values)
+    return MixedSystem(members, values)
+
+
+def _rows_of(factor: Any) -> CompiledRows | None:
+    return factor if isinstance(factor, CompiledRows) else getattr(factor, "compiled", None)
+
+
+class _System:
+    """What both have.
 
     Attributes:
-        places: Where a step has each variable, by key.
+        places: Where a step has each variable, by key: a step is local coordinates of one after the other.
         size: Numbers of a step.
     """
 
-    def __init__(self, factors: Iterable[Any], values: gtsam.Values, others: Iterable[Any] | None = None) -> None:
-        """Bind factors, which may be their compiled rows alone.
+    def __init__(self, values: gtsam.Values) -> None:
+        """Lay out the variables, those that many others share last."""
+        zero = values.zeroVectors()
+        keys = sorted(values.keys(), key=_rank)
+        ends = [0, *accumulate([len(zero.at(key)) for key in keys])]
+        self.places = {key: slice(a, b) for key, (a, b) in zip(keys, pairwise(ends), strict=True)}
+        self.size = ends[-1]
 
-        Args:
-            factors: The factors, as the solver gets them.
-            others: Those of another graph of the same variables, some of them the same; None for one graph alone.
-        """
-        kernel, zero = native("factors._rows"), values.zeroVectors()
-        self.places: dict[int, slice] = {}
-        self.size = 0
-        for key in values.keys():  # noqa: SIM118  # a key vector
-            self.places[key] = slice(self.size, self.size + len(zero.at(key)))
-            self.size = self.places[key].stop
-        every: dict[int, tuple[Any, int]] = {}
-        for graph, some in ((_FIRST, factors), (_SECOND, [] if others is None else others)):
-            for factor in some:
-                every[id(factor)] = factor, graph | every.get(id(factor), (None, 0))[1]
-        self._held = [*every.values()]  # in GTSAM's keeping factors lose what is Python's
-        self._rest = {_FIRST: gtsam.NonlinearFactorGraph(), _SECOND: gtsam.NonlinearFactorGraph()}
-        self._dense = self.size <= _DENSE
-        parts: list[tuple[CompiledRows, int]] = []
-        for factor, graphs in self._held:
-            rows = factor if isinstance(factor, CompiledRows) else getattr(factor, "compiled", None)
-            if kernel is not None and rows is not None and (self._dense or len(rows.keys) <= _MOST_KEYS):
-                parts.append((rows, graphs))
-                continue
-            for graph, rest in self._rest.items():
-                if graph & graphs:
-                    rest.add(factor)
-        self._readers: list[tuple[Callable[[gtsam.Values, int], Array], int]] = []
-        self._blocks: list[tuple[tuple[Any, ...], Array]] = []
-        self._values: gtsam.Values | None = None
-        self._ordering: gtsam.Ordering | None = None
-        self._rows: Any = self._bound(kernel, parts) if parts else None
 
-    def _bound(self, kernel: Any, parts: Sequence[tuple[CompiledRows, int]]) -> Any:
-        """The compiled rows with their variables."""
-        groups, homes = self._groups([rows.keys for rows, _ in parts])
-        index: dict[int, int] = {}
-        variables: list[tuple[int, int]] = []
-        places: list[tuple[Any, ...]] = []
-        for (rows, graphs), home in zip(parts, homes, strict=True):
-            bound: list[int | Array | None] = []
-            for variable, (size, dim, _) in zip(rows.variables, rows.source.takes, strict=True):
-                if isinstance(variable, int):
-                    if variable not in index:
-                        index[variable] = len(variables)
-                        variables.append((size, dim))
-                        self._readers.append((_READERS.get((size, dim), _vector), variable))
-                    bound.append(index[variable])
-                else:
-                    bound.append(variable)
-            places.append((rows.source, graphs, home, bound, rows.whitener, rows.robust))
-        if self._dense:
-            return kernel.Rows(variables, [(self.size, {i: self.places[k].start for k, i in index.items()})], places)
-        ends = [[0, *accumulate(variables[index[key]][1] for key in group)] for group in groups]
-        columns = [
-            (end[-1], {index[key]: start for key, start in zip(group, end, strict=False)})
-            for group, end in zip(groups, ends, strict=True)
-        ]
-        bound_rows = kernel.Rows(variables, columns, places)
-        for group, end, information in zip(groups, ends, bound_rows.information, strict=True):
-            self._blocks.append(((*group, *_blocks(information, end)), information))
-        return bound_rows
+class CompiledSystem(_System):
+    """Factors that are all compiled."""
 
-    def _groups(self, every: Sequence[tuple[int, ...]]) -> tuple[list[tuple[int, ...]], list[int]]:
-        """Variables of each linear factor, three at most, and the one of each of the keys that rows are about."""
-        if self._dense:
-            return [], [0] * len(every)
-        groups: list[tuple[int, ...]] = []
-        homes: dict[tuple[int, ...], int] = {}
-        for keys in sorted(set(every), key=len, reverse=True):
-            home = next((i for i, group in enumerate(groups) if set(keys) <= set(group)), len(groups))
-            if home == len(groups):
-                groups.append(keys)
-            homes[keys] = home
-        return groups, [homes[keys] for keys in every]
+    def __init__(self, members: Sequence[_Member], values: gtsam.Values) -> None:
+        """Bind the rows."""
+        super().__init__(values)
+        self._bound = _Bound(members, self.places)
+        self._rows = self._bound.rows
 
-    def _load(self, values: gtsam.Values) -> None:
-        if values is not self._values:
-            self._rows.load([read(values, key) for read, key in self._readers])
-            self._values = values
+    def point(self, values: gtsam.Values) -> Array:
+        """The point at values."""
+        return self._bound.point(values)
 
-    def linearise(self, values: gtsam.Values, *, second: bool = False) -> tuple[gtsam.GaussianFactorGraph, float]:
-        """The linear graph at values, or the other one; and the energy of its compiled factors there, nats.
+    def values(self, point: Array) -> gtsam.Values:
+        """Values at a point."""
+        return self._bound.values(point)
 
-        That of few variables is one dense factor, of a variable 0 that has all of them: a step.
-        """
-        graph = _SECOND if second else _FIRST
-        rest = self._rest[graph]
-        if self._rows is None:
-            return rest.linearize(values), 0.0
-        self._load(values)
-        energy = self._rows.linearise(graph)
-        linear = rest.linearize(values) if rest.size() else gtsam.GaussianFactorGraph()
-        if self._dense:
-            information = self._rows.information[0]
-            if rest.size():
-                keys = linear.keyVector()
-                matrix, vector = linear.hessian(_ordering(keys))
-                rows = np.concatenate([np.arange(self.size)[self.places[key]] for key in keys])
-                information[rows[:, None], rows] += matrix
-                information[rows, -1] += vector
-                linear = gtsam.GaussianFactorGraph()
-            linear.push_back(gtsam.HessianFactor(0, information[:-1, :-1], information[:-1, -1], information[-1, -1]))
-        for blocks, information in self._blocks:
-            linear.push_back(_hessian_factor(*blocks, information[-1, -1]))
-        return linear, energy
+    def moved(self, point: Array, step: Array) -> Array:
+        """Where a step leads."""
+        found: Array = self._rows.moved(point, step)
+        return found
 
-    @property
-    def is_one(self) -> bool:
-        """Whether the linear graph is one dense factor."""
-        return self._dense and self._rows is not None
-
-    def step(self, values: gtsam.Values) -> tuple[Array, float]:
-        """The step (D,) to the minimum of the linear graph, and the energy of the compiled factors at the values, nats.
+    def step(self, point: Array) -> tuple[Array, Callable[[], float]]:
+        """The step (D,) to the minimum of the linear graph at a point, and what tells the energy there, nats.
 
         Raises:
-            RuntimeError: GTSAM's only sign of a direction that nothing determines.
+            RuntimeError: Nothing determines some direction.
         """
-        linear, energy = self.linearise(values)
-        if self._ordering is None:  # of elimination, the same for every step
-            self._ordering = _ordering([0]) if self.is_one else gtsam.Ordering.ColamdGaussianFactorGraph(linear)
-        solution = linear.optimize(self._ordering)
-        return solution.vector(), energy
+        energy = self._rows.linearise(point, _FIRST)
+        step: Array | None = self._rows.step()
+        if step is None:
+            raise RuntimeError("an indeterminate system")
+        return step, lambda: float(energy)
 
-    def moved(self, values: gtsam.Values, step: Array) -> gtsam.Values:
+    def information(self, point: Array, *, second: bool = False) -> Array:
+        """(D, D) of the linear graph at a point, or of the other one, in the order of a step."""
+        self._rows.linearise(point, _SECOND if second else _FIRST)
+        found: Array = self._rows.information()[:-1, :-1]
+        return found
+
+    def covariance(
+        self, point: Array, least: float, keys: Iterable[int] | None = None, *, second: bool = False
+    ) -> Callable[[NDArray[np.intp]], Array] | None:
+        """What is left open of variables by the linear graph at a point, or by the other one.
+
+        Args:
+            point: Where.
+            least: Share of a variable's information that all others must leave.
+            keys: Variables that are asked for; None for all.
+            second: Whether it is the other graph.
+
+        Returns:
+            A function from indices (m,) of a step to the covariance (m, m); of variables that no factor, or what
+            elimination makes of factors, is about together it raises KeyError. None where something is undetermined.
+        """
+        self._rows.linearise(point, _SECOND if second else _FIRST)
+        begin = min([self.places[key].start for key in (self.places if keys is None else keys)], default=self.size)
+        covariance: Callable[[NDArray[np.intp]], Array] | None = self._rows.covariance(begin, least)
+        return covariance
+
+    def error(self, point: Array) -> float:
+        """Energy of all factors of the first graph at a point, nats."""
+        return float(self._rows.error(point, _FIRST))
+
+    def judge(self, point: Array, looks: Sequence[bool]) -> list[Array]:
+        """What factors that judge (`Source.judge`) find out of a point, in their order; with a look all of it anew."""
+        found: list[Array] = self._rows.judge(point, looks)
+        return found
+
+
+class MixedSystem(_System):
+    """Factors of which some are not compiled, or none: linearised and solved by GTSAM. Its points are values."""
+
+    def __init__(self, members: Sequence[_Member], values: gtsam.Values) -> None:
+        """Bind factors and rows."""
+        super().__init__(values)
+        self._rest = {_FIRST: gtsam.NonlinearFactorGraph(), _SECOND: gtsam.NonlinearFactorGraph()}
+        self._held = members  # in GTSAM's keeping factors lose what is Python's
+        groups: dict[tuple[int, ...], list[_Member]] = {}
+        for member in sorted(members, key=_count, reverse=True):
+            if member.rows is None or _count(member) > _MOST_KEYS:
+                for graph, rest in self._rest.items():
+                    if graph & member.graphs:
+                        rest.add(member.factor)
+            else:
+                keys = member.rows.keys
+                groups.setdefault(next((g for g in groups if {*keys} <= {*g}), keys), []).append(member)
+        self._groups = [_Bound(some, {key: self.places[key] for key in keys}) for keys, some in groups.items()]
+        judging = [member for member in members if member.rows is not None and member.rows.source.judged]
+        self._judging = _Bound(judging, self.places) if judging else None
+        self._ordering: gtsam.Ordering | None = None
+
+    def point(self, values: gtsam.Values) -> gtsam.Values:
+        """The point at values."""
+        return values
+
+    def values(self, point: gtsam.Values) -> gtsam.Values:
+        """Values at a point."""
+        return point
+
+    def moved(self, point: gtsam.Values, step: Array) -> gtsam.Values:
         """Where a step leads."""
         by_key = gtsam.VectorValues()
         for key, place in self.places.items():
             by_key.insert(key, step[place])
-        return values.retract(by_key)
+        return point.retract(by_key)
 
-    def information(self, values: gtsam.Values, *, second: bool = False) -> Array:
-        """(D, D) of the linear graph at values, or of the other one, in the order of a step."""
-        linear, _ = self.linearise(values, second=second)
-        if self.is_one:
-            dense: Array = self._rows.information[0][:-1, :-1]
-            return dense
-        return linear.hessian(_ordering(self.places))[0]
+    def linear(self, point: gtsam.Values, *, second: bool = False) -> tuple[gtsam.GaussianFactorGraph, float]:
+        """The linear graph at a point, or the other one; and the energy of its compiled factors there, nats."""
+        graph = _SECOND if second else _FIRST
+        linear, energy = self._rest[graph].linearize(point), 0.0
+        for bound in self._groups:
+            energy += bound.rows.linearise(bound.point(point), graph)
+            linear.push_back(bound.hessian_factor())
+        return linear, energy
 
-    def error(self, values: gtsam.Values) -> float:
-        """Energy of all factors of the first graph at values, nats."""
-        energy = self.rest_error(values)
-        if self._rows is not None:
-            self._load(values)
-            energy += self._rows.error(_FIRST)
-        return energy
+    def step(self, point: gtsam.Values) -> tuple[Array, Callable[[], float]]:
+        """The step (D,) to the minimum of the linear graph at a point, and what tells the energy there, nats.
 
-    def rest_error(self, values: gtsam.Values) -> float:
-        """Energy of those that are not compiled, nats."""
-        rest = self._rest[_FIRST]
-        return float(rest.error(values)) if rest.size() else 0.0
+        Raises:
+            RuntimeError: GTSAM's only sign of a direction that nothing determines.
+        """
+        linear, energy = self.linear(point)
+        if self._ordering is None:  # of elimination, the same for every step
+            self._ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
+        step: Array = linear.optimize(self._ordering).vector(gtsam.KeyVector([*self.places]))
+        return step, lambda: energy + float(self._rest[_FIRST].error(point))
 
-    def judge(self, values: gtsam.Values, looks: Sequence[bool]) -> list[Array]:
-        """What factors that judge (`Source.judge`) find out of values, in their order; with a look all of it anew."""
-        self._load(values)
-        found: list[Array] = self._rows.judge(looks)
+    def information(self, point: gtsam.Values, *, second: bool = False) -> Array:
+        """(D, D) of the linear graph at a point, or of the other one, in the order of a step."""
+        return self.linear(point, second=second)[0].hessian(_ordering(self.places))[0]
+
+    def error(self, point: gtsam.Values) -> float:
+        """Energy of all factors of the first graph at a point, nats."""
+        energies = [bound.rows.error(bound.point(point), _FIRST) for bound in self._groups]
+        return float(self._rest[_FIRST].error(point) + sum(energies))
+
+    def judge(self, point: gtsam.Values, looks: Sequence[bool]) -> list[Array]:
+        """What factors that judge (`Source.judge`) find out of a point, in their order; with a look all of it anew."""
+        if self._judging is None:
+            return []
+        found: list[Array] = self._judging.rows.judge(self._judging.point(point), looks)
         return found
+
+
+class _Bound:
+    """Compiled rows with their variables.
+
+    Attributes:
+        rows: The rows.
+    """
+
+    def __init__(self, members: Sequence[_Member], keys: Iterable[int]) -> None:
+        """Bind the rows of members to variables; those that none of them is about are left out."""
+        kernel, kinds = native("factors._rows"), {}
+        assert kernel is not None
+        compiled = [(member.rows, member.graphs) for member in members if member.rows is not None]
+        for rows, _ in compiled:
+            for variable, (numbers, dim, _) in zip(rows.variables, rows.source.takes, strict=True):
+                if isinstance(variable, int):
+                    kinds[variable] = numbers, dim
+        self._kinds = {key: kinds[key] for key in keys if key in kinds}
+        index = {key: i for i, key in enumerate(self._kinds)}
+        places = []
+        for rows, graphs in compiled:
+            bound = [index[variable] if isinstance(variable, int) else variable for variable in rows.variables]
+            places.append((rows.source, graphs, bound, rows.whitener, rows.robust))
+        self._readers = [(_READERS.get(kind, _vector), key) for key, kind in self._kinds.items()]
+        self.rows = kernel.Rows([*self._kinds.values()], places)
+
+    def point(self, values: gtsam.Values) -> Array:
+        """The variables as the rows take them."""
+        found: Array = self.rows.point([read(values, key) for read, key in self._readers])
+        return found
+
+    def values(self, point: Array) -> gtsam.Values:
+        """The variables of a point."""
+        values, start = gtsam.Values(), 0
+        for key, kind in self._kinds.items():
+            numbers = point[start : start + kind[0]]
+            start += kind[0]
+            values.insert(key, _variable(kind, numbers))
+        return values
+
+    def hessian_factor(self) -> gtsam.HessianFactor:
+        """What the rows linearised last are, for GTSAM."""
+        information = self.rows.information()
+        ends = [0, *accumulate([dim for _, dim in self._kinds.values()])]
+        parts = [slice(a, b) for a, b in pairwise(ends)]
+        blocks: list[Any] = [*self._kinds]
+        for i, rows in enumerate(parts):
+            blocks += [information[rows, columns] for columns in parts[i:]]
+            blocks.append(information[rows, -1])
+        return _hessian_factor(*blocks, information[-1, -1])
 
 
 def _hessian_factor(*parts: Any) -> gtsam.HessianFactor:
     return gtsam.HessianFactor(*parts)
+
+
+def _count(member: _Member) -> int:
+    return 0 if member.rows is None else len(member.rows.keys)
+
+
+@lru_cache(maxsize=4096)
+def _rank(key: int) -> tuple[int | bool, ...]:
+    """Where a variable comes in a step: images of a vehicle, its shape, the next vehicle; last what vehicles share."""
+    letter, vehicle, low = decode_key(key)
+    return letter in "DFGS", vehicle, letter not in "XV", low, key
 
 
 def _vector(values: gtsam.Values, key: int) -> Array:
@@ -220,6 +313,13 @@ _READERS = {(12, 6): _pose, (10, 3): _plane}
 """What reads a variable, by its numbers and its dimension; all others are vectors."""
 
 
+def _variable(kind: tuple[int, int], numbers: Array) -> Any:
+    """What a reader reads, from its numbers."""
+    if kind == (12, 6):
+        return gtsam.Pose3(gtsam.Rot3(numbers[:9].reshape(3, 3)), numbers[9:])
+    return gtsam.OrientedPlane3(numbers[:4]) if kind == (10, 3) else numbers
+
+
 def packed_pose(pose: Array) -> Array:
     """(12,) a pose (4, 4) as sources take it."""
     return np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]])
@@ -235,13 +335,3 @@ def _ordering(keys: Iterable[int]) -> gtsam.Ordering:
     for key in keys:
         ordering.push_back(key)
     return ordering
-
-
-def _blocks(information: Array, ends: Sequence[int]) -> list[Array]:
-    """Views of a quadratic form in the order in which `HessianFactor` takes them."""
-    parts = [slice(a, b) for a, b in pairwise(ends)]
-    found: list[Array] = []
-    for i, rows in enumerate(parts):
-        found += [information[rows, columns] for columns in parts[i:]]
-        found.append(information[rows, -1])
-    return found

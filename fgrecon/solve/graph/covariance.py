@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.keys import decode_key
-from factors.native import native
+from factors.system import CompiledSystem
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.graph import Graph
 from fgrecon.solve.graph.graph_settings import SETTINGS
@@ -18,8 +18,8 @@ from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 
 Array = NDArray[np.float64]
 
-_COMPILED = 160
-"""Numbers of variables up to which the kernel is faster than LAPACK."""
+_SMALL = 128
+"""Numbers of variables up to which, without the kernels, all covariances at once are quicker than by GTSAM."""
 
 
 @dataclass(frozen=True)
@@ -35,49 +35,18 @@ class Covariances:
 
 @dataclass(frozen=True)
 class Spread:
-    """The covariance of variables of a graph by one factorisation: of a small graph, or of many of its variables."""
+    """Covariances of variables of a graph by one factorisation."""
 
-    places: dict[int, slice]  # where it has each variable, by key
-    covariance: Array  # (D, D)
-
-    @classmethod
-    def of(
-        cls, information: Array, every: Mapping[int, slice], selected: Collection[int] | None = None
-    ) -> Spread | None:
-        """That of a graph's variables; None where it does not determine them.
-
-        Args:
-            information: (D, D) of all variables.
-            every: Where they are there, by key.
-            selected: Keys of those that are needed; None for all.
-        """
-        needed = [*every] if selected is None else [key for key in every if key in selected]
-        others = [] if selected is None else [key for key in every if key not in selected]
-        # Last: the last rows of a triangular factor are the marginal's.
-        order = np.array([i for key in (*others, *needed) for i in range(every[key].start, every[key].stop)], np.intp)
-        places, end = {}, 0
-        for key in needed:
-            start, end = end, end + every[key].stop - every[key].start
-            places[key] = slice(start, end)
-        kernel = native("fgrecon.solve._native") if len(order) <= _COMPILED else None
-        found = (_covariance if kernel is None else kernel.covariance)(
-            information, order, len(order) - end, SETTINGS.undetermined_share
-        )
-        return None if found is None else cls(places, found)
+    places: dict[int, slice]  # where a step has each variable, by key
+    of: Callable[[NDArray[np.intp]], Array]  # the covariance (m, m) by indices (m,) of a step
 
     def joint(self, keys: Sequence[int]) -> Array:
         """Of several variables, in the order of their keys."""
-        if len(keys) == 1:
-            place = self.places[keys[0]]
-            return self.covariance[place, place].copy()
-        rows = np.array([i for key in keys for i in range(self.places[key].start, self.places[key].stop)])
-        joint: Array = self.covariance[rows[:, None], rows]
-        return joint
+        return self.of(np.concatenate([np.arange(self.places[key].start, self.places[key].stop) for key in keys]))
 
 
-def _covariance(information: Array, order: NDArray[np.intp], cut: int, least: float) -> Array | None:
-    """The kernel's `covariance`, for large graphs and where there is no compiler."""
-    information = information[order[:, None], order]
+def _covariance(information: Array, least: float) -> Callable[[NDArray[np.intp]], Array] | None:
+    """As `factors.system.CompiledSystem.covariance`, from the information (D, D)."""
     diagonal = information.diagonal()
     if not (np.isfinite(diagonal).all() and diagonal.min(initial=np.inf) > 0.0):
         return None
@@ -88,8 +57,9 @@ def _covariance(information: Array, order: NDArray[np.intp], cut: int, least: fl
         return None
     if not root.diagonal().min(initial=1.0) ** 2 > least:
         return None
-    half = np.linalg.inv(root[cut:, cut:]) / scale[cut:]
-    return half.T @ half
+    half = np.linalg.inv(root) / scale
+    covariance: Array = half.T @ half
+    return lambda indices: covariance[indices[:, None], indices]
 
 
 def marginals_of(
@@ -106,19 +76,21 @@ def marginals_of(
     Args:
         values: Its minimum.
         weights: Weights of each observation there.
-        selected: Keys of the variables that are needed by one factorisation; None for all, of a large graph by
-            `gtsam.Marginals`.
+        selected: Keys of the variables that are needed; None for all.
         counted_once: Whether sizes are (`Graph.for_covariances`).
         silent: Name of what other sensors say that counts for nothing.
     """
-    system = graph.weighted(values, weights, silent=silent)
-    if selected is not None or system.is_one:
-        return Spread.of(system.information(values, second=counted_once), system.places, selected)
-    linear, _ = system.linearise(values, second=counted_once)
-    try:
-        return gtsam.Marginals(linear, values)
-    except RuntimeError:  # GTSAM's only sign of an indeterminate system
-        return None
+    system, least = graph.weighted(values, weights, silent=silent), SETTINGS.undetermined_share
+    if isinstance(system, CompiledSystem):
+        found = system.covariance(system.point(values), least, selected, second=counted_once)
+    elif selected is not None or system.size <= _SMALL:
+        found = _covariance(system.information(values, second=counted_once), least)
+    else:
+        try:
+            return gtsam.Marginals(system.linear(values, second=counted_once)[0], values)
+        except RuntimeError:  # GTSAM's only sign of an indeterminate system
+            return None
+    return None if found is None else Spread(system.places, found)
 
 
 def covariance_of(marginals: gtsam.Marginals | Spread | None, key: int) -> Array | None:

@@ -22,7 +22,7 @@ from factors.keys import F, S, key_name
 from factors.mixture import Form
 from factors.sensed import SensedFactor
 from factors.surface_points import SurfacePointsFactor
-from factors.system import System
+from factors.system import CompiledSystem, MixedSystem, Point, system_of
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
@@ -112,7 +112,7 @@ class Graph:
         """
         self.options: Options = observations[0].problem.options
         self._told: tuple[Sequence[Weights], Form] | None = None  # what the rows have
-        self._system: System | None = None
+        self._system: CompiledSystem | MixedSystem | None = None
         self.vehicles: dict[int, VehiclePart] = {}
         self.observations: list[ObservationPart] = []
         counts = Counter(one.vehicle for one in observations)
@@ -190,7 +190,7 @@ class Graph:
         Raises:
             DegenerateProblemError: There are some.
         """
-        if not (self._judges and math.isfinite(self.error(values))):
+        if not (self._judges and math.isfinite(self.error(self.system(values).point(values)))):
             for part in self.observations:
                 check_in_front(part.kernel, values)
 
@@ -211,13 +211,7 @@ class Graph:
         return all(part.is_robust for part in self.observations)
 
     def reweigh(
-        self,
-        values: gtsam.Values,
-        before: Sequence[Weights],
-        progress: float,
-        *,
-        hold: bool = False,
-        held: Collection[int] = (),
+        self, values: gtsam.Values, before: Sequence[Weights], progress: float, *, hold: bool = False
     ) -> list[Weights]:
         """Weights of every observation at the values; see `ObservationPart.reweigh`.
 
@@ -226,10 +220,24 @@ class Graph:
             before: The weights until now.
             progress: 0 at the first update, 1 at the last.
             hold: Keep visibility and the ground's uncertainty of all observations.
-            held: Indices of observations of which they are kept in any case.
         """
-        self.look(values, hold=hold)
+        return self.reweigh_at(self.system(values).point(values), before, progress, hold=hold)
+
+    def reweigh_at(
+        self,
+        point: Point,
+        before: Sequence[Weights],
+        progress: float = 1.0,
+        *,
+        hold: bool = False,
+        held: Collection[int] = (),
+    ) -> list[Weights]:
+        """The same at a point of `system`; `held` are indices of observations of which they are kept in any case."""
+        assert self._system is not None
         looks = [not (hold or i in held) for i in range(len(self.observations))]
+        if self.sensed or not self._judges:
+            values = self._system.values(point)
+            self.look(values, hold=hold)
         if not self._judges:
             return [
                 part.reweigh(values, weights, progress, hold=not look)
@@ -237,9 +245,9 @@ class Graph:
             ]
         form = Form.NEWTON if self._told is None else self._told[1]
         self._tell(before, form)
-        found = self.system(values).judge(values, looks)
+        found = self._system.judge(point, looks)
         weights = [
-            part.judged(values, one, None if look else w)
+            part.judged(one, None if look else w)
             for part, one, look, w in zip(self.observations, found, looks, before, strict=True)
         ]
         self._told = weights, form
@@ -259,12 +267,12 @@ class Graph:
         own = [factor for vehicle in self.vehicles.values() for factor in vehicle.counted_once]
         return [*own, *self.shared.priors]
 
-    def system(self, values: gtsam.Values) -> System:
+    def system(self, values: gtsam.Values) -> CompiledSystem | MixedSystem:
         """All factors of its variables, and as the other graph those with sizes counted once; made once."""
         if self._system is None:
             observed = [part.compiled or part.factor for part in self.observations if part.keys]
             both = [*observed, *self._sensed_factors, *self.extra]
-            self._system = System([*both, *self._own], values, [*both, *self._counted_once])
+            self._system = system_of([*both, *self._own], values, [*both, *self._counted_once])
         return self._system
 
     @cached_property
@@ -284,28 +292,28 @@ class Graph:
             one.tell(form)
         self._told = weights, form
 
-    def step(self, values: gtsam.Values, weights: Sequence[Weights], form: Form) -> tuple[Array, Callable[[], float]]:
-        """The step of `System` at values, and what tells their energy as `error` has it, nats.
+    def step(self, point: Point, weights: Sequence[Weights], form: Form) -> tuple[Array, Callable[[], float]]:
+        """The step of `system` at a point of it, and what tells their energy as `error` has it, nats.
 
         Args:
-            values: Where.
+            point: Where.
             weights: Weights of each observation.
             form: How a mixture is handed to the solver: with these weights, or with its loss and curvature.
 
         Raises:
-            RuntimeError: GTSAM's only sign of a direction that nothing determines.
+            RuntimeError: A direction that nothing determines.
         """
+        assert self._system is not None
         self._tell(weights, form)
-        system = self.system(values)
-        step, compiled = system.step(values)
-        return step, lambda: compiled + system.rest_error(values)
+        return self._system.step(point)
 
-    def error(self, values: gtsam.Values) -> float:
+    def error(self, point: Point) -> float:
         """Energy of all factors with the weights that were set last, nats: what a step is judged by.
 
         It differs from the sum of the terms' by what does not change as long as visibility does not.
         """
-        return self.system(values).error(values)
+        assert self._system is not None
+        return self._system.error(point)
 
     def look(self, values: gtsam.Values, *, hold: bool = False) -> None:
         """Match what other sensors say at the values, and weigh it; `hold` keeps what it is matched to."""
@@ -339,7 +347,9 @@ class Graph:
         every = [*self._observed, *self._counted_once, *self._sensed_factors, *self.extra]
         return self._built(every, weights, Form.WEIGHTED, common=True)
 
-    def weighted(self, values: gtsam.Values, weights: Sequence[Weights], *, silent: str | None = None) -> System:
+    def weighted(
+        self, values: gtsam.Values, weights: Sequence[Weights], *, silent: str | None = None
+    ) -> CompiledSystem | MixedSystem:
         """The factors with these weights until others are set; the other graph is that of `for_covariances`.
 
         What other sensors say by the `silent` name counts for nothing.

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.mixture import Form
+from factors.system import Point
 from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError
 from fgrecon.solve.graph.anderson import Anderson
 from fgrecon.solve.graph.graph import Graph, State
@@ -52,8 +53,7 @@ class Descent:
     """The loop's variables: values and weights, and what it has done.
 
     Attributes:
-        values: Where it is.
-        weights: Weights and visibility of each observation there.
+        weights: Weights and visibility of each observation where it is.
         steps: Every iteration, where the history is kept.
         iterations: How many were made.
         first: Energy at the start, nats.
@@ -64,6 +64,8 @@ class Descent:
         """Begin at a state of a graph that `is_robust`; `most` and `steady` are as `optimise` has them."""
         self.most = most
         self.graph = graph
+        self._values: gtsam.Values | None = None
+        self._point: Point = None
         self.values = graph.values(start)
         self.weights: list[Weights] = list(start.weights)
         self.steps: list[Step] = []
@@ -79,20 +81,37 @@ class Descent:
         self._shared = not start.others.empty() or bool(graph.shared.known)
         self._steady = NEWTON.steady if steady is None else steady
 
+    @property
+    def values(self) -> gtsam.Values:
+        """Where it is."""
+        if self._values is None:
+            self._values = self._system.values(self._point)
+        return self._values
+
+    @values.setter
+    def values(self, values: gtsam.Values) -> None:
+        self._system = self.graph.system(values)
+        self._values = values
+        self._point = self._system.point(values)
+
+    def _go(self, point: Point) -> None:
+        """Go to a point of the graph's system; its values are made when they are asked for."""
+        self._point, self._values = point, None
+
     def run(self) -> None:
         """Go to a minimum.
 
         Raises:
             DegenerateProblemError: The start has an infinite energy, or Levenberg-Marquardt gives up.
         """
-        self.weights = self.graph.reweigh(self.values, self.weights, 1.0)
+        self.weights = self.graph.reweigh_at(self._point, self.weights)
         self.first = self._energy() if self.most is None else float("inf")
-        states = [(self.values, self.weights)]
+        states = [(self._point, self.weights)]
         steps = Anderson()
         for iteration in range(NEWTON.followed_iterations):
             self.converged = self._iterate(steps)
             before = self.weights
-            self.weights = self.graph.reweigh(self.values, before, 1.0, held=self._swinging.held)
+            self.weights = self.graph.reweigh_at(self._point, before, held=self._swinging.held)
             if swinging := self._swinging.watch(before, self.weights):
                 self._settle_apart(swinging)
                 steps.forget()
@@ -100,10 +119,13 @@ class Descent:
             if self.converged or self.iterations == self.most:
                 return
             if iteration >= NEWTON.followed_iterations // 2:
-                states.append((self.values, self.weights))  # most end before their energies are asked for
-        energies = [self.first, *(self._energy_at(*state) for state in states[1:])]
-        if (least := min(energies)) < energies[-1]:
-            self.values, self.weights = states[energies.index(least)]
+                states.append((self._point, self.weights))  # most end before their energies are asked for
+        energies = [self.first]
+        for point, self.weights in states[1:]:
+            self._go(point)
+            energies.append(self._energy())
+        point, self.weights = states[energies.index(min(energies))]
+        self._go(point)
         self._settle()
 
     def _settle(self) -> None:
@@ -111,7 +133,7 @@ class Descent:
         steps = Anderson()
         for _ in range(NEWTON.held_iterations):
             self.converged = self._iterate(steps)
-            self.weights = self.graph.reweigh(self.values, self.weights, 1.0, hold=True)
+            self.weights = self.graph.reweigh_at(self._point, self.weights, hold=True)
             self._record()
             if self.converged:
                 return
@@ -119,7 +141,7 @@ class Descent:
         built = self.graph.build(self.weights, self._form)
         solution = minimise(built, self.values, relative_tolerance=NEWTON.final_relative_decrease)
         self.values, self.converged = solution.values, solution.converged
-        self.weights = self.graph.reweigh(self.values, self.weights, 1.0, hold=True)
+        self.weights = self.graph.reweigh_at(self._point, self.weights, hold=True)
         self._record()
 
     def _settle_apart(self, images: Collection[int]) -> None:
@@ -129,21 +151,19 @@ class Descent:
         """
         if self._shared:
             return
-        self.values = gtsam.Values(self.values)  # those until now are in the history
+        values = gtsam.Values(self.values)  # those until now are in the history
         for index in images:
-            loop = Descent(*self.graph.alone(index, self.values, self.weights))
+            loop = Descent(*self.graph.alone(index, values, self.weights))
             try:
                 loop._settle()
             except DegenerateProblemError:  # not alone, then
                 continue
-            self.values.update(loop.values)
+            values.update(loop.values)
             self.weights[index] = loop.weights[0]
+        self.values = values
 
     def _energy(self) -> float:
-        return self._energy_at(self.values, self.weights)
-
-    def _energy_at(self, values: gtsam.Values, weights: Sequence[Weights]) -> float:
-        return sum(self.graph.energies(values, weights).values())
+        return sum(self.graph.energies(self.values, self.weights).values())
 
     def _record(self) -> None:
         if self.graph.options.keep_history:
@@ -162,10 +182,10 @@ class Descent:
     def _step(self, steps: Anderson) -> bool | None:
         """A step that does not raise the energy, and whether it was the last; None where there is none."""
         try:
-            step, energy_here = self.graph.step(self.values, self.weights, self._form)
+            step, energy_here = self.graph.step(self._point, self.weights, self._form)
         except FactorCallbackError:
             raise
-        except RuntimeError:  # GTSAM's only sign of a direction that nothing determines
+        except RuntimeError:  # the only sign of a direction that nothing determines
             return None
         length = float(np.abs(step).max(initial=0.0))
         last = self._is_last(length)
@@ -177,10 +197,11 @@ class Descent:
         if further is not None and np.abs(further).max() > NEWTON.longest_step * length:
             further = None
         for proposed in self._tries(step, further):
-            moved = self.graph.system(self.values).moved(self.values, proposed)
+            moved = self._system.moved(self._point, proposed)
             if unseen or self.graph.error(moved) <= energy:
                 steps.took(proposed)
-                self.values, self._still = moved, False
+                self._go(moved)
+                self._still = False
                 return last
         return None
 

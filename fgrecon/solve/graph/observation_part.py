@@ -197,20 +197,18 @@ class ObservationPart:
         self.compiled.source.form = int(form)
         self.compiled.source.see(weights.visibility, weights.box, weights.depth)
 
-    def judged(self, values: gtsam.Values, found: Array, held: Weights | None) -> Weights:
-        """Weights by what the compiled rows found at values (`factors._energy.ImageRows.judge`).
+    def judged(self, found: Array, held: Weights | None) -> Weights:
+        """Weights by what the compiled rows found at a point (`factors._energy.ImageRows.judge`).
 
         Args:
-            values: Where.
             found: What they found.
             held: The weights until now, where visibility and the ground's uncertainty were kept as they are there.
         """
         count = self.vehicle.shape.size
-        weights, box, depth = found[:count], found[-7:-3], float(found[-1])
-        visibility = found[count:-7] if held is None else held.visibility
-        energies = float(found[-3]), float(found[-2])
-        self._last = _Assessed(values, visibility, held is None, weights, box, energies)
-        return Weights(weights, visibility, box, depth if held is None else held.depth)
+        weights, box = found[:count], found[-7:-3]
+        if held is not None:
+            return Weights(weights, held.visibility, box, held.depth)
+        return Weights(weights, found[count:-7], box, float(found[-1]))
 
     def jacobian(self, values: gtsam.Values, weights: Weights) -> Array:
         """(rows, D) derivative of the factor's rows by its variables, one after the other, with weights."""

@@ -6,11 +6,9 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors.keys import L, S
-from factors.native import native
+from factors.keys import L, S, X
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.covariance import (
-    Spread,
     _covariance,
     joint_covariance,
     marginals_of,
@@ -180,41 +178,22 @@ def test_one_factorisation_gives_what_gtsam_gives():
     result, graph, values, _ = at_result()
     marginals, keys = gtsam.Marginals(graph.build([result.weights]), values), list(values.keys())
     assert len(keys) > 1
-    system = graph.weighted(values, [result.weights])
     for wanted in (None, {keys[0]}):
-        spread = Spread.of(system.information(values), system.places, wanted)
+        spread = marginals_of(graph, values, [result.weights], wanted, counted_once=False)
         for key in keys if wanted is None else wanted:
             expected = marginals.marginalCovariance(key)
             np.testing.assert_allclose(spread.joint([key]), expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
-    turned = Spread.of(system.information(values), system.places).joint(keys[::-1])
-    own = len(marginals.marginalCovariance(keys[-1]))
-    np.testing.assert_allclose(turned[:own, :own], marginals.marginalCovariance(keys[-1]), rtol=1e-6, atol=1e-9)
+    own = [X(), L()]
+    turned, count = marginals_of(graph, values, [result.weights], counted_once=False).joint(own[::-1]), 5
+    np.testing.assert_allclose(turned[:count, :count], marginals.marginalCovariance(L()), rtol=1e-6, atol=1e-9)
 
 
-def test_one_factorisation_of_an_open_problem_is_none():
-    information = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(2))  # only the difference of two is known
-    assert Spread.of(information, {0: slice(0, 2), 1: slice(2, 4)}) is None
-
-
-@pytest.mark.parametrize(("size", "cut"), [(1, 0), (7, 3), (53, 38), (60, 0), (60, 60), (0, 0)])
-def test_the_kernel_gives_what_lapack_gives(size, cut):
-    kernel = native("fgrecon.solve._native")
-    if kernel is None:
-        pytest.skip("no compiled kernels")
-    rng = np.random.default_rng(size)
-    half = rng.normal(size=(2 * size + 5, size + 2)) * np.logspace(0.0, 3.0, size + 2)
-    information, order = half.T @ half, rng.permutation(size + 2)[:size].astype(np.intp)
-    expected = _covariance(information, order, cut, 1e-12)
-    found = kernel.covariance(information, order, cut, 1e-12)
-    assert found.shape == (size - cut, size - cut)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max(initial=0.0))
-    if size > 1:
-        assert kernel.covariance(information, order, cut, 1.1) is None
-        for wrong in (0.0, -1.0, np.nan, np.inf):
-            information[order[0], order[0]] = wrong
-            assert kernel.covariance(information, order, cut, 1e-12) is None
-            assert _covariance(information, order, cut, 1e-12) is None
-    with pytest.raises(IndexError):
-        kernel.covariance(information, np.array([size + 2], np.intp), 0, 1e-12)
-    with pytest.raises(ValueError, match="place"):
-        kernel.covariance(information, order, size + 1, 1e-12)
+def test_without_kernels_an_information_is_inverted_or_found_open():
+    rng = np.random.default_rng(0)
+    half = rng.normal(size=(19, 7)) * np.logspace(0.0, 3.0, 7)
+    expected = np.linalg.inv(half.T @ half)
+    found = _covariance(half.T @ half, 1e-12)(np.array([4, 1]))
+    np.testing.assert_allclose(found, expected[[4, 1]][:, [4, 1]], rtol=1e-8)
+    assert _covariance(half.T @ half, 1.1) is None
+    assert _covariance(np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(2)), 1e-12) is None  # a difference alone is known
+    assert _covariance(np.diag([1.0, 0.0]), 1e-12) is None

@@ -90,21 +90,22 @@ def test_each_term_is_the_independent_one(case):
 def test_the_compiled_linear_graph_and_error_are_those_of_what_is_built(case):
     """Whatever form it has, and wherever visibility was looked at."""
     graph, values = case.graph, case.values
-    ordering = gtsam.Ordering()
-    for key in values.keys():  # noqa: SIM118  # a key vector
+    system = graph.system(values)
+    point, ordering = system.point(values), gtsam.Ordering()
+    for key in system.places:
         ordering.push_back(key)
     for hold in (False, True):
-        weights = graph.reweigh(values, [case.weights], 1.0, hold=hold)
+        weights = graph.reweigh_at(point, [case.weights], hold=hold)
         for form in (Form.NEWTON, Form.MAJORISED):
-            step, energy = graph.step(values, weights, form)
-            system = graph.system(values)
-            moved, information = system.moved(values, step), system.information(values).copy()
+            step, energy = graph.step(point, weights, form)
+            moved, information = system.moved(point, step), system.information(point).copy()
             told = energy(), graph.error(moved)
             built = graph.build(weights, form)
-            assert told == pytest.approx((built.error(values), built.error(moved)), rel=1e-12)
-            other = built.linearize(values).hessian(ordering)[0]
+            expected = built.error(system.values(point)), built.error(system.values(moved))
+            assert told == pytest.approx(expected, rel=1e-12)
+            other = built.linearize(system.values(point)).hessian(ordering)[0]
             np.testing.assert_allclose(information, other, atol=1e-12 * np.abs(other).max())
-        values = moved
+        point = moved
 
 
 def test_the_optimum_is_scipys(case):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from factors.mixture import Form
 from fgrecon.core.camera import Ground
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
@@ -49,6 +50,19 @@ def test_the_end_is_where_re_weighting_stays(seed, settings):
     assert loop.energy() == pytest.approx(energy, abs=1e-8)
     (again,) = graph.reweigh(descent.values, descent.weights, 1.0)
     np.testing.assert_allclose(again.visibility, descent.weights[0].visibility, atol=1e-9)  # followed to the end
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_step_of_gtsams_from_the_end_moves_nothing(seed):
+    """Of the graph as it is built, with Python's callbacks: the rows compiled and their elimination are the same."""
+    problem, start = problem_of(seed, free_offsets=True)
+    descent = descent_of(problem, start)
+    descent.run()
+    built = descent.graph.build(descent.weights, Form.NEWTON)
+    linear = built.linearize(descent.values)
+    assert np.abs(linear.optimize().vector()).max() < 2.0 * newton.NEWTON.steady
+    moved = descent.values.retract(linear.optimize())
+    assert built.error(descent.values) - built.error(moved) < 1e-9
 
 
 def test_an_end_before_the_minimum_is_near_it_and_takes_fewer_steps():
