@@ -221,8 +221,12 @@ def test_nerfstudio(tmp_path):
     assert (camera.distortion_model, camera.distortion.tolist()) == ("fisheye", [*LENS[:2], 0.01, -0.002])
     with pytest.raises(InvalidInputError, match=r"camera_model.*EQUIRECTANGULAR"):
         read_camera(write(path, json.dumps({**transforms(), "camera_model": "EQUIRECTANGULAR"})))
+    del fisheye["camera_model"]
+    assert read_camera(write(path, json.dumps({**fisheye, "is_fisheye": True}))).camera.distortion_model == "fisheye"
     alone = transforms()
     del alone["fl_x"]
+    with pytest.raises(InvalidInputError, match=r"fl_x.*no pixels"):  # as NeRF's made-up scenes
+        read_camera(write(path, json.dumps({**alone, "camera_angle_x": 0.7})))
     alone["frames"][0]["fl_x"] = FX
     same(read_camera(write(path, json.dumps(alone)), "a.png").camera, half=0.5)
     with pytest.raises(InvalidInputError, match="fl_x"):

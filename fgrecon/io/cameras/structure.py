@@ -167,10 +167,12 @@ def nerfstudio_camera(data: Mapping[str, Any], image: str | None, name: str | No
     place, own = (where, {}) if shown is None else (f"{where}frames[{shown[0]}].", shown[1])
     fields = Fields({**data, **own}, place)
     if "fl_x" not in fields and shown is None:
-        raise InvalidInputError(
-            f"{where}fl_x", "one for each image", "Name the photograph, or an image after the file."
-        )
-    model = fields.data.get("camera_model", "OPENCV")
+        fix = "Name the photograph, or an image after the file."
+        if not any("fl_x" in frame for _, frame in frames.values()):
+            fix = "Give fl_x, fl_y, cx, cy, w and h: an angle of the view alone has no pixels."
+        raise InvalidInputError(f"{where}fl_x", "none for all images", fix)
+    default = "OPENCV_FISHEYE" if fields.data.get("is_fisheye") else "OPENCV"  # instant-ngp names no model
+    model = fields.data.get("camera_model", default)
     if model not in _MODELS or (model not in _FISHEYES and fields.data.get("k4")):
         raise InvalidInputError(f"{place}{'camera_model' if model not in _MODELS else 'k4'}", model, _SOLVED)
     numbers = {part: float(fields.numbers(part, ())) for part in ("fl_x", "fl_y", "cx", "cy", "w", "h")}
