@@ -523,20 +523,24 @@ cdef class Rows:
     cdef int outline(self) except -1:
         """Find which numbers of the quadratic form may be filled, and the order of each source's columns."""
         cdef _Place place
-        cdef int i, j, least, most = self.size
+        cdef int i, j, k, least, most = self.size
+        cdef int *columns
+        cdef int *order
         self.sorted = np.empty(self.columns.shape[0], dtype=np.intc)
         self.heads = np.arange(most + 1, dtype=np.intc)
         self.lines = np.empty(most + 2, dtype=np.intp)
-        columns = np.asarray(self.columns)
         for place in self.places:
-            own = columns[place.first:place.first + place.source.columns]
-            np.asarray(self.sorted)[place.first:place.first + len(own)] = np.argsort(own, kind="stable")
-            least = most
+            columns, order, least = &self.columns[place.first], &self.sorted[place.first], most
             for i in range(place.source.columns):
-                j = self.columns[place.first + i]
+                j = columns[i]
                 least = j if 0 <= j < least else least
+                k = i
+                while k > 0 and columns[order[k - 1]] > j:  # few are out of order
+                    order[k] = order[k - 1]
+                    k -= 1
+                order[k] = i
             for i in range(place.source.columns):
-                j = self.columns[place.first + i]
+                j = columns[i]
                 if j >= 0 and least < self.heads[j]:
                     self.heads[j] = least
         self.heads[most] = 0
