@@ -83,7 +83,7 @@ def _tables(path: Path) -> None:
     tables = open_nuscenes(path)
     read_camera(path.parent, _IMAGE)
     read_camera(f"{path.parent}#CAM_FRONT")
-    cuboid_boxes(tables, _IMAGE, "vehicle.car")
+    list(cuboid_boxes(tables, _IMAGE))
 
 
 def _coco() -> Mapping[str, bytes]:

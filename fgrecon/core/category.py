@@ -81,13 +81,19 @@ class Face:
 
 @dataclass(frozen=True)
 class Dimension:
-    """One dimension, measured between the centroids of two groups of keypoints along an object axis."""
+    """One dimension, measured between the centroids of two groups of keypoints along an object axis.
 
-    name: str  # `length`, `width` or `height`
-    plus: tuple[int, ...]  # keypoints at the far end (front, left, top)
-    minus: tuple[int, ...]  # keypoints at the near end (rear, right, bottom)
-    # distance between the centroids divided by the dimension of the vehicle's box (lamp to lamp is about 0.88 of
-    # a car's length)
+    Attributes:
+        name: `length`, `width` or `height`.
+        plus: Keypoints at the far end (front, left, top).
+        minus: Keypoints at the near end (rear, right, bottom).
+        ratio: Distance between the centroids divided by the dimension of the vehicle's box (lamp to lamp is about 0.88
+            of a car's length).
+    """
+
+    name: str
+    plus: tuple[int, ...]
+    minus: tuple[int, ...]
     ratio: float
 
     @property

@@ -47,10 +47,14 @@ TRUSTED = 0.5
 
 @dataclass(frozen=True)
 class Pose(LazyFields):
-    """Where the vehicle is and which way it faces, in the camera's frame and in the image."""
+    """Where the vehicle is and which way it faces, in the camera's frame and in the image.
 
-    camera_T_object: NDArray[np.float64]  # (4, 4) pose, maps object coordinates into the camera frame
-    # (K, 2) projections of the wireframe, pixels (with lens distortion where the camera has one)
+    Attributes:
+        camera_T_object: (4, 4) pose, maps object coordinates into the camera frame.
+        wireframe_uv: (K, 2) projections of the wireframe, pixels (with lens distortion where the camera has one).
+    """
+
+    camera_T_object: NDArray[np.float64]
     wireframe_uv: NDArray[np.float64]
 
     @property
@@ -75,22 +79,34 @@ class Pose(LazyFields):
 
 @dataclass(frozen=True)
 class Shape(LazyFields):
-    """What the vehicle looks like, in its own frame, and the model that this is an instance of."""
+    """What the vehicle looks like, in its own frame, and the model that this is an instance of.
 
-    category: str  # name of the category
-    prior: str  # name of the shape prior
-    keypoint_names: tuple[str, ...]  # K names
-    coefficients: NDArray[np.float64]  # (N,) shape coefficients lambda
-    offsets: NDArray[np.float64]  # (K, 3) free offsets, metres; zero where they were not solved for
-    wireframe: NDArray[np.float64]  # (K, 3) keypoints in the object frame, metres, hidden ones filled in
-    box_size: NDArray[np.float64]  # (3,) length, width and height of the vehicle's box, metres
-    edges: NDArray[np.int64]  # (E, 2) pairs of keypoints to draw
-    # (V, 3) surface in the object frame, metres, or None
+    Attributes:
+        category: Name of the category.
+        prior: Name of the shape prior.
+        keypoint_names: K names.
+        coefficients: (N,) shape coefficients lambda.
+        offsets: (K, 3) free offsets, metres; zero where they were not solved for.
+        wireframe: (K, 3) keypoints in the object frame, metres, hidden ones filled in.
+        box_size: (3,) length, width and height of the vehicle's box, metres.
+        edges: (E, 2) pairs of keypoints to draw.
+        surface_vertices: (V, 3) surface in the object frame, metres, or None.
+        surface_faces: (F, 3) its triangles, or None.
+        faces: The category's planar faces: indices of the keypoints around each, by name.
+        symmetric_pairs: (P, 2) pairs (left, right) of mirrored keypoints.
+    """
+
+    category: str
+    prior: str
+    keypoint_names: tuple[str, ...]
+    coefficients: NDArray[np.float64]
+    offsets: NDArray[np.float64]
+    wireframe: NDArray[np.float64]
+    box_size: NDArray[np.float64]
+    edges: NDArray[np.int64]
     surface_vertices: NDArray[np.float64] | None = field(default_factory=lambda: None)
-    surface_faces: NDArray[np.int64] | None = field(default_factory=lambda: None)  # (F, 3) its triangles, or None
-    # the category's planar faces: indices of the keypoints around each, by name
+    surface_faces: NDArray[np.int64] | None = field(default_factory=lambda: None)
     faces: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    # (P, 2) pairs (left, right) of mirrored keypoints
     symmetric_pairs: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
 
     __repr__ = brief_repr
@@ -98,21 +114,27 @@ class Shape(LazyFields):
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How certain pose and shape are: the spread around them, and the other poses that remain."""
+    """How certain pose and shape are: the spread around them, and the other poses that remain.
 
-    # (6, 6) covariance of the pose in GTSAM's order and frame (rotation, translation, in the object's own frame),
-    # or None where it is not determined
+    Attributes:
+        pose_covariance: (6, 6) covariance of the pose in GTSAM's order and frame (rotation, translation, in the
+            object's own frame), or None where it is not determined.
+        size_covariance: (3, 3) covariance of the box's length, width and height, or None where it is not determined.
+        coefficients_covariance: (N, N), or None.
+        keypoint_covariance: (K, 3, 3) covariance of each 3D keypoint in the object frame, or None.
+        regions: What the covariances rest on.
+        facing_probability: How probably the vehicle faces where the pose says, within a quarter turn, by the detector's
+            directions, calibrated on real cars; without them by the energies of the poses. NaN where neither is known.
+        alternatives: Other poses that the search ended in, best first.
+    """
+
     pose_covariance: NDArray[np.float64] | None = None
-    # (3, 3) covariance of the box's length, width and height, or None where it is not determined
     size_covariance: NDArray[np.float64] | None = None
-    coefficients_covariance: NDArray[np.float64] | None = None  # (N, N), or None
-    # (K, 3, 3) covariance of each 3D keypoint in the object frame, or None
+    coefficients_covariance: NDArray[np.float64] | None = None
     keypoint_covariance: NDArray[np.float64] | None = None
-    regions: Regions = Regions.ASSUMED  # what the covariances rest on
-    # how probably the vehicle faces where the pose says, within a quarter turn, by the detector's directions,
-    # calibrated on real cars; without them by the energies of the poses. NaN where neither is known
+    regions: Regions = Regions.ASSUMED
     facing_probability: float = float("nan")
-    alternatives: tuple[Alternative, ...] = ()  # other poses that the search ended in, best first
+    alternatives: tuple[Alternative, ...] = ()
 
     @property
     def pose_probability(self) -> float:
@@ -125,40 +147,55 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class Diagnostics(LazyFields):
-    """How the result came about: what each keypoint counted, the energy, the steps and the time."""
+    """How the result came about: what each keypoint counted, the energy, the steps and the time.
 
-    weights: NDArray[np.float64]  # (K,) final weight of each keypoint in [0, 1]
-    # (K,) final standard deviation of each keypoint's noise model, pixels; infinite at weight zero
+    Attributes:
+        weights: (K,) final weight of each keypoint in [0, 1].
+        sigmas: (K,) final standard deviation of each keypoint's noise model, pixels; infinite at weight zero.
+        visibility: (K,) probability of each keypoint to be visible at the result's pose.
+        energies: Energy by term at the result, nats.
+        box_excess: By how much the 2D box is larger than the vehicle looks, as a fraction, negative where it is
+            smaller; NaN where there is none, or it is not wholly in the image.
+        milliseconds: Wall time by stage.
+        history: Every step, in order; made when it is first looked at, as is the graph.
+        graph: The factors of the graph at the result; empty where no history is kept.
+        graph_iterations: Iterations that the graph's solver took from the proposal that led to the result.
+        graph_gain: Nats that they took off its energy; NaN where the strategy defines none.
+        left_out: Sentences that say what of the observation was not used, and why.
+        mirrored_gain: Nats by which the keypoints fit better with left and right exchanged; NaN where they fit well, or
+            come from a network that knows the vehicle's direction, and nobody tried.
+        points: (N, 3) points of other sensors that the graph had, camera frame, metres; none where nobody gave any.
+        point_weights: (N,) final weight of each in [0, 1]: how surely it is the vehicle's.
+        evidence: By kind of what was given beside the picture, by how many times it makes the position's standard
+            deviation smaller.
+        depth_scales: (Q, 2) scale and shift of each depth map whose pixels share an error, by all vehicles that were
+            solved together (`fgrecon.DepthCalibration`); of metric ones those of the inverse depth.
+        depth_covariances: (Q, 2, 2) of these.
+        place_errors: (S, 6) turn in radians and shift in metres, as Pose3.Expmap takes them, that take the points of
+            each sensor of unsure place to where they are in the camera's frame, by all vehicles that were solved
+            together.
+        place_covariances: (S, 6, 6) of these.
+    """
+
+    weights: NDArray[np.float64]
     sigmas: NDArray[np.float64]
-    visibility: NDArray[np.float64]  # (K,) probability of each keypoint to be visible at the result's pose
-    energies: Mapping[str, float] = field(default_factory=dict)  # energy by term at the result, nats
-    # by how much the 2D box is larger than the vehicle looks, as a fraction, negative where it is smaller; NaN
-    # where there is none, or it is not wholly in the image
+    visibility: NDArray[np.float64]
+    energies: Mapping[str, float] = field(default_factory=dict)
     box_excess: float = float("nan")
-    milliseconds: Mapping[str, float] = field(default_factory=dict)  # wall time by stage
-    history: Sequence[Iteration] = ()  # every step, in order; made when it is first looked at, as is the graph
-    graph: Sequence[GraphFactor] = ()  # the factors of the graph at the result; empty where no history is kept
-    graph_iterations: int = 0  # iterations that the graph's solver took from the proposal that led to the result
-    graph_gain: float = float("nan")  # nats that they took off its energy; NaN where the strategy defines none
-    left_out: tuple[str, ...] = ()  # sentences that say what of the observation was not used, and why
-    # nats by which the keypoints fit better with left and right exchanged; NaN where they fit well, or come from
-    # a network that knows the vehicle's direction, and nobody tried
+    milliseconds: Mapping[str, float] = field(default_factory=dict)
+    history: Sequence[Iteration] = ()
+    graph: Sequence[GraphFactor] = ()
+    graph_iterations: int = 0
+    graph_gain: float = float("nan")
+    left_out: tuple[str, ...] = ()
     mirrored_gain: float = float("nan")
-    # (N, 3) points of other sensors that the graph had, camera frame, metres; none where nobody gave any
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
-    # (N,) final weight of each in [0, 1]: how surely it is the vehicle's
     point_weights: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    # by kind of what was given beside the picture, by how many times it makes the position's standard deviation
-    # smaller
     evidence: Mapping[str, float] = field(default_factory=dict)
-    # (Q, 2) scale and shift of each depth map whose pixels share an error, by all vehicles that were solved
-    # together (`fgrecon.DepthCalibration`); of metric ones those of the inverse depth
     depth_scales: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
-    depth_covariances: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2, 2)))  # (Q, 2, 2) of these
-    # (S, 6) turn in radians and shift in metres, as Pose3.Expmap takes them, that take the points of each sensor of
-    # unsure place to where they are in the camera's frame, by all vehicles that were solved together
+    depth_covariances: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2, 2)))
     place_errors: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 6)))
-    place_covariances: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 6, 6)))  # (S, 6, 6) of these
+    place_covariances: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 6, 6)))
 
     __repr__ = brief_repr
 

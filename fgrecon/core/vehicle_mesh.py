@@ -22,12 +22,18 @@ _FINEST = 64  # parts of a triangle's side, at most: a plane under a car may com
 
 @dataclass(frozen=True, eq=False)
 class VehicleMesh:
-    """A vehicle's mesh, object frame: x forward, y down, z left, origin on the ground below the centre, metres."""
+    """A vehicle's mesh, object frame: x forward, y down, z left, origin on the ground below the centre, metres.
 
-    name: str  # what it is called
-    vertices: NDArray[np.float64]  # (V, 3) vertices
-    faces: NDArray[np.int64]  # (F, 3) vertex indices of each triangle
-    # (3,) place of each keypoint that is known on it, by name; may be empty
+    Attributes:
+        name: What it is called.
+        vertices: (V, 3) vertices.
+        faces: (F, 3) vertex indices of each triangle.
+        keypoints: (3,) place of each keypoint that is known on it, by name; may be empty.
+    """
+
+    name: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
     keypoints: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
     __repr__ = brief_repr

@@ -39,12 +39,17 @@ class GroundTruth:
 
 @dataclass(frozen=True)
 class TrackFrame:
-    """One vehicle in one image."""
+    """One vehicle in one image.
 
-    name: str  # `<track>:<number of the frame>`, shown wherever the frame is mentioned
-    # keypoints, confidences and box; None where the frame has no measured keypoint at all
+    Attributes:
+        name: `<track>:<number of the frame>`, shown wherever the frame is mentioned.
+        observation: Keypoints, confidences and box; None where the frame has no measured keypoint at all.
+        truth: The labelled pose.
+    """
+
+    name: str
     observation: Observation | None
-    truth: GroundTruth  # the labelled pose
+    truth: GroundTruth
 
 
 @dataclass(frozen=True)

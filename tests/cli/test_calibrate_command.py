@@ -109,7 +109,7 @@ def test_what_cannot_be_fitted_does_not_take_the_rest_along(tmp_path, passes):
     assert whole.provenance["outlines"] == 40
     found, (doubt,) = calibrated(hidden)
     assert (found.common_factor, found.boxes) == (whole.common_factor, None)
-    assert "edges lie could not be fitted: 0 labelled cars that are visible as a whole. Give drives with" in doubt
+    assert "edges are could not be fitted: 0 labelled cars that are visible as a whole. Give drives with" in doubt
     passes.detected = 7
     found, (doubt,) = calibrated(drive)
     assert (found.common_factor, found.boxes) == (whole.common_factor, None)

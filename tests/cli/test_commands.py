@@ -104,7 +104,7 @@ def complete(words):
 
 def test_the_shell_completes_names():
     assert "car14" in complete("fgrecon prior show car")
-    assert complete("fgrecon reconstruct cars.json --size-prior k") == ["kitti"]
+    assert complete("fgrecon reconstruct cars.json --size-prior k") == ["kitti", "kitti_traffic"]
     assert "sqpnp+size" in complete("fgrecon evaluate tracks t.json --method sq")
     assert "gnc" in complete("fgrecon reconstruct cars.json --strategy g")
 
