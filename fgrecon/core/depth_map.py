@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_either, as_finite, as_shape, own
 from fgrecon.core.choices import DepthScale
 from fgrecon.core.errors import InvalidInputError
@@ -139,3 +140,8 @@ class DepthMap:
         sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[row, column]
         own_sigma = scale * np.asarray(sigma) * (metres**2 if self.inverse else 1.0)
         return np.asarray(np.hypot(own_sigma, self.relative_sigma * metres))
+
+
+def pixel_rays(row: NDArray[np.intp], column: NDArray[np.intp], camera: Camera) -> Array:
+    """Directions (M, 3) with z = 1 in which a camera sees the pixels of an image; NaN where no ray arrives."""
+    return camera.rays(camera.undistort(np.stack([column, row], axis=1)))

@@ -3,7 +3,7 @@
 The ground says so where it is given, and else the vehicles of the image, each at the pose that the picture alone leads
 to. Both are crude: a vehicle's depth by a picture is off by some percent, and so is a plane by its pitch, as which what
 rises from it passes as well. So scale and shift are those that most samples agree on, and how unsure they are by pitch,
-roll and height of the plane goes on into the graph (`fgrecon.solve.graph.shared_depths`), whose vehicles, with all that
+roll and height of the plane goes on into the graph (`fgrecon.solve.graph.shared_errors`), whose vehicles, with all that
 is known of them, decide.
 """
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from factors.surface_points import PointRows
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.choices import DepthScale
-from fgrecon.core.depth_map import DepthCalibration, DepthMap
+from fgrecon.core.depth_map import DepthCalibration, DepthMap, pixel_rays
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.solve.inputs import SolveSetup
@@ -99,7 +99,7 @@ def _on_vehicle(depth: DepthMap, problem: Problem, estimate: PoseEstimate, camer
     kept = np.isfinite(depth.depth[row, column])
     row, column = row[kept], column[kept]
     pose = estimate.camera_T_object
-    rays = _rays(row, column, camera)
+    rays = pixel_rays(row, column, camera)
     points = rays * pose[2, 3]
     patches, odds = patches_of(model.prior), SETTINGS.points.odds
     ones, size = np.ones(len(points)), (model.dimension_mean, model.dimension_basis)
@@ -125,7 +125,7 @@ def _on_ground(depth: DepthMap, ground: Ground, camera: Camera) -> tuple[_Sample
     """
     height, width = depth.depth.shape
     row, column = _grid(np.array([0.0, 0.0, width - 1.0, height - 1.0]), DEPTH_SCALE.ground_pixels, (height, width))
-    rays = _rays(row, column, camera)
+    rays = pixel_rays(row, column, camera)
     down = rays @ ground.normal
     metres = ground.distance / np.maximum(down, 1e-6)
     near, far = DEPTH_SCALE.ground_m
@@ -143,12 +143,6 @@ def _grid(box: Array, count: int, shape: tuple[int, ...]) -> tuple[NDArray[np.in
     step = max(1, int(np.sqrt(max(np.prod(np.maximum(high - low, 0.0)), 1.0) / count)))
     row, column = np.meshgrid(np.arange(low[1], high[1] + 1, step), np.arange(low[0], high[0] + 1, step), indexing="ij")
     return row.ravel().astype(np.intp), column.ravel().astype(np.intp)
-
-
-def _rays(row: NDArray[np.intp], column: NDArray[np.intp], camera: Camera) -> Array:
-    """(M, 3) of pixels, z = 1."""
-    pixels = np.stack([column, row], axis=1).astype(np.float64)
-    return camera.rays(pixels if camera.distortion is None else camera.ideal_pixels(pixels)[0])
 
 
 def _start(depth: DepthMap, samples: _Samples) -> tuple[float, float] | None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.choices import DepthScale
-from fgrecon.core.depth_map import DepthMap
+from fgrecon.core.depth_map import DepthCalibration, DepthMap, pixel_rays
 from fgrecon.core.evidence import Evidence, Points
 from fgrecon.solve.solve_settings import ROAD
 
@@ -87,13 +87,9 @@ def _pixels(depth: DepthMap, camera: Camera) -> Array:
     """(M, 3) some of a depth map's pixels as points."""
     step = max(1, int(np.sqrt(depth.depth.size / ROAD.pixels)))
     row, column = (each.ravel() for each in np.mgrid[: depth.depth.shape[0] : step, : depth.depth.shape[1] : step])
-    metres = depth.depth[row, column]
-    if depth.inverse:
-        metres = 1.0 / np.where(metres > 0.0, metres, np.nan)
+    metres = depth.metres(depth.depth[row, column], DepthCalibration())
     kept = np.isfinite(metres)
-    pixels = np.stack([column, row], axis=1)[kept].astype(np.float64)
-    rays = camera.rays(pixels if camera.distortion is None else camera.ideal_pixels(pixels)[0])
-    return np.asarray(rays * metres[kept, None])
+    return np.asarray(pixel_rays(row[kept], column[kept], camera) * metres[kept, None])
 
 
 def _plane(cells: Array, given: Ground | None) -> Ground | None:
@@ -126,4 +122,5 @@ def _plane(cells: Array, given: Ground | None) -> Ground | None:
 def _excluded(normal: Array, distance: float, given: Ground) -> bool:
     """Whether a plane is none that the given ground allows."""
     off = np.array([distance - given.distance, *(normal - given.normal)[[0, 2]]])
-    return bool((np.abs(off) > ROAD.excluded_sigmas * np.array([given.height_sigma, *2 * (given.slope_sigma,)])).any())
+    sigma = np.array([given.height_sigma, given.slope_sigma, given.slope_sigma])
+    return bool((np.abs(off) > ROAD.excluded_sigmas * sigma).any())

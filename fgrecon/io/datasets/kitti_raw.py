@@ -104,6 +104,8 @@ def _times(path: Path) -> list[float]:
 
 def _poses(folder: Path) -> dict[int, Array]:
     """(4, 4) world_T_imu by frame."""
+    from scipy.spatial.transform import Rotation  # on use: commands start without
+
     rows = {int(file.stem): _row(file) for file in sorted(folder.glob("*.txt")) if file.stem.isdecimal()}
     found: dict[int, Array] = {}
     scale = np.cos(np.radians(next(iter(rows.values()))[0])) if rows else 1.0
@@ -113,7 +115,7 @@ def _poses(folder: Path) -> dict[int, Array]:
         place = np.array([scale * _EARTH * east, scale * _EARTH * north, alt])
         origin = place if origin is None else origin
         pose = np.eye(4)
-        pose[:3, :3] = _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
+        pose[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
         pose[:3, 3] = place - origin
         found[frame] = pose
     return found
@@ -123,17 +125,10 @@ def _row(file: Path) -> Array:
     return numbers(read_text(file, "pose").split()[:6], 6, str(file))
 
 
-def _about(axis: int, angle: float) -> Array:
-    """(3, 3) turn about an axis."""
-    one, two = [i for i in range(3) if i != axis]
-    turn, sign = np.eye(3), -1.0 if axis == 1 else 1.0
-    turn[[one, two], [one, two]] = np.cos(angle)
-    turn[two, one], turn[one, two] = sign * np.sin(angle), -sign * np.sin(angle)
-    return turn
-
-
 def _boxes(path: Path) -> dict[int, list[tuple[str, str, Array, Array, int]]]:
     """By frame: track, kind, (4, 4) velo_T_box of the centre, (3,) length, width, height, and grade of occlusion."""
+    from scipy.spatial.transform import Rotation  # on use: commands start without
+
     found: dict[int, list[tuple[str, str, Array, Array, int]]] = defaultdict(list)
     if not path.is_file():
         return found
@@ -149,7 +144,7 @@ def _boxes(path: Path) -> dict[int, list[tuple[str, str, Array, Array, int]]]:
         for step, row in enumerate(item.findall("./poses/item")):
             x, y, z, yaw, grade = (_number(row, name, where) for name in ("tx", "ty", "tz", "rz", "occlusion"))
             pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = _about(2, yaw), (x, y, z + height / 2.0)
+            pose[:3, :3], pose[:3, 3] = Rotation.from_euler("Z", yaw).as_matrix(), (x, y, z + height / 2.0)
             size = np.array([length, width, height])
             kind = (item.findtext("objectType") or "").strip()
             found[int(first) + step].append((str(number), kind, pose, size, int(grade) if 0 <= grade <= 2 else -1))

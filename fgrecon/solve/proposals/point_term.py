@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from factors.surface_patches import SurfacePatches
 from factors.surface_points import PointRows, Shared
 from fgrecon.core.camera import MIN_DEPTH, Camera
-from fgrecon.core.depth_map import DepthMap
+from fgrecon.core.depth_map import DepthMap, pixel_rays
 from fgrecon.core.evidence import Evidence, Points
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
@@ -145,10 +145,7 @@ def _pixels(depth: ScaledDepth, box: Array, camera: Camera) -> tuple[Array, Arra
     kept = (metres + 2.0 * along > max(nearest, MIN_DEPTH)) & (metres - 2.0 * along < farthest) & (metres > MIN_DEPTH)
     if not kept.any():
         return none
-    pixels = np.stack([column[kept], row[kept]], axis=1).astype(np.float64)
-    if camera.distortion is not None:
-        pixels = camera.ideal_pixels(pixels)[0]
-    rays = camera.rays(pixels)
+    rays = pixel_rays(row[kept], column[kept], camera)
     far = np.isfinite(rays).all(axis=1)
     points, along = rays * metres[kept, None], along[kept] * np.linalg.norm(rays, axis=1)
     return points[far], along[far]
