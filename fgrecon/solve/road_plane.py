@@ -63,7 +63,9 @@ def _metric(one: Evidence, disabled: Collection[str]) -> TypeGuard[Points | Dept
     """Whether it has places in metres."""
     if isinstance(one, Points):
         return "points" not in disabled
-    return isinstance(one, DepthMap) and one.scale is DepthScale.METRIC and "depth" not in disabled
+    if not isinstance(one, DepthMap) or "depth" in disabled:
+        return False
+    return one.scale is DepthScale.METRIC and one.calibration is None  # else a scale that is unsure
 
 
 def _lowest(one: Points | DepthMap, camera: Camera) -> Array:

@@ -5,7 +5,7 @@ import pytest
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.choices import DepthScale
-from fgrecon.core.depth_map import DepthMap
+from fgrecon.core.depth_map import DepthCalibration, DepthMap
 from fgrecon.core.evidence import Points
 from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.solve_settings import ROAD
@@ -55,6 +55,8 @@ def test_a_depth_map_in_metres_does_so_too():
         assert found.distance == pytest.approx(HEIGHT, abs=0.03)
         assert np.degrees(np.arccos(found.normal @ NORMAL)) < 0.3
     assert ground_by_points([DepthMap(metres, scale=DepthScale.SCALE)], None, CAMERA, ()) is None
+    calibrated = DepthMap(metres / 2.0, calibration=DepthCalibration(2.0, 0.0))
+    assert ground_by_points([calibrated], None, CAMERA, ()) is None
 
 
 def test_what_is_given_stays_where_points_do_not_show_more():
