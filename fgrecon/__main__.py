@@ -1,5 +1,5 @@
 """`python -m fgrecon` is the command `fgrecon`."""
 
-from fgrecon.cli.entry import main
+from fgrecon.cli.entry import run
 
-main()
+run()

@@ -21,6 +21,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.processes import keep, one_thread_each, run_kept
+from fgrecon.io.arrow import without_pandas
 
 _TRIES = 2
 """How often a piece is tried before it is taken apart, and a part before it is given up."""
@@ -193,6 +194,7 @@ def _begin(function: Callable[[Any], Any]) -> int:
     The user's Ctrl-C is for the parent, which ends its workers; a parent that is killed can end none, so they look.
     """
     keep(function)
+    without_pandas()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow_parent, daemon=True).start()
     return os.getpid()

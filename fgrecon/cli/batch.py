@@ -91,8 +91,10 @@ def batch_command(
     """
     from fgrecon.batch.batch_request import BatchRequest, reconstruct_files
     from fgrecon.core.options import Options
+    from fgrecon.io.arrow import without_pandas
     from fgrecon.perception.boxes import GivenBoxes
 
+    without_pandas()
     screen = terminal.screen()
     how = Options(strategy=scene.strategy, box=options.box_model, keep_history=False)
     settings = scene.settings(how, options.classes)

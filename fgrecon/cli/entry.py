@@ -2,12 +2,35 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
+import threading
 from types import FrameType
+from typing import NoReturn
 
 _INTERRUPTED = 130
+
+
+def run() -> NoReturn:
+    """`main`, and the end of the process, which takes nothing apart that the system frees at once."""
+    code = 0
+    try:
+        main()
+    except SystemExit as ended:
+        if ended.code and not isinstance(ended.code, int):
+            raise
+        code = int(ended.code or 0)
+    # What Python does before it takes apart: wait for threads, and call what is registered.
+    threading._shutdown()  # type: ignore[attr-defined]  # noqa: SLF001
+    atexit._run_exitfuncs()  # noqa: SLF001
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except OSError:  # nobody reads on: Python says so in its way
+        sys.exit(code)
+    os._exit(code)
 
 
 def main() -> None:

@@ -184,9 +184,11 @@ def run_command(
     input; 130: stopped before the end.
     """
     from fgrecon.cli import run_report
+    from fgrecon.io.arrow import without_pandas
     from fgrecon.io.files import check_folder
     from fgrecon.video.video_job import prepare_video, write_tracks
 
+    without_pandas()
     options.delivery.check()
     check_outputs(json_out, options.drawn.video, picture=options.drawn.picture)
     check_folder(out)

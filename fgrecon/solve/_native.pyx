@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 # cython: freethreading_compatible=True
-"""What surrounds the solver and costs, compiled: minima of a quartic, extents of a turned outline, a ray cast, and the
+"""What surrounds the solver and costs, compiled: poses from points, extents of a turned outline, a ray cast, and the
 acceleration of an iteration.
 
 Each has a numpy version beside the function that calls it, which the tests compare with.
@@ -65,24 +65,12 @@ cdef bint solve(const double *H, double damping, const double *g, double *x) noe
     return True
 
 
-def descend(
-    const double[:, ::1] derivatives, const double[:, ::1] L, const double[:, ::1] starts, int steps, double converged,
-    double same
-):
-    """Minima of F from many starts, by damped Newton steps (`fgrecon.solve.proposals._polynomial`).
-
-    Args:
-        derivatives: (10, 16). L: (4, 4). starts: (B, 4).
-        steps: At most.
-        converged: Largest component of the last step.
-        same: Cosine beyond which two minima are one, whatever their signs.
-
-    Returns:
-        (B', 4) minima and (B',) F there, best first.
-    """
-    cdef int B = starts.shape[0], b, i, j, step, count = 0
-    cdef double[:, ::1] found = np.empty((B, 4))
-    cdef double[::1] values = np.empty(B)
+cdef int descended(
+    const double *D, const double *L, const double *starts, int B, int steps, double converged, double same,
+    double *found, double *values
+) noexcept nogil:
+    """Minima (B', 4) of F, and F there, from starts (B, 4) by damped Newton steps; how many they are."""
+    cdef int b, i, j, step, count = 0
     cdef double q[4]
     cdef double x[4]
     cdef double trial[4]
@@ -92,55 +80,220 @@ def descend(
     cdef double trial_H[16]
     cdef double value, trial_value, damping, size, cosine, first, second, least
     cdef bint done, known
-    if derivatives.shape[0] != 10 or derivatives.shape[1] != 16 or L.shape[0] != 4 or L.shape[1] != 4:
-        raise ValueError("derivatives (10, 16) and L (4, 4) are wanted")
-    if starts.shape[1] != 4:
-        raise ValueError("starts (B, 4) are wanted")
-    with nogil:
-        for b in range(B):
+    for b in range(B):
+        for i in range(4):
+            q[i] = starts[4 * b + i]
+        value = parts(D, L, q, g, H)
+        damping, done = 0.0, False
+        for step in range(steps):
+            least = 1e-3 * (fabs(H[0]) + fabs(H[5]) + fabs(H[10]) + fabs(H[15])) + 1e-12
+            while damping < INFINITY and not solve(H, damping, g, x):
+                damping = 4.0 * damping if damping >= least else least
+            if not damping < INFINITY:
+                break
+            size = 0.0
             for i in range(4):
-                q[i] = starts[b, i]
-            value = parts(&derivatives[0, 0], &L[0, 0], q, g, H)
-            damping, done = 0.0, False
-            for step in range(steps):
-                least = 1e-3 * (fabs(H[0]) + fabs(H[5]) + fabs(H[10]) + fabs(H[15])) + 1e-12
-                while damping < INFINITY and not solve(H, damping, g, x):
-                    damping = 4.0 * damping if damping >= least else least
-                if not damping < INFINITY:
-                    break
-                size = 0.0
+                trial[i] = q[i] + x[i]
+                size = fabs(x[i]) if fabs(x[i]) > size else size
+            done = size < converged
+            trial_value = parts(D, L, trial, trial_g, trial_H)
+            if trial_value < value or done:
+                value, damping = trial_value, (0.1 * damping if damping > least else 0.0)
                 for i in range(4):
-                    trial[i] = q[i] + x[i]
-                    size = fabs(x[i]) if fabs(x[i]) > size else size
-                done = size < converged
-                trial_value = parts(&derivatives[0, 0], &L[0, 0], trial, trial_g, trial_H)
-                if trial_value < value or done:
-                    value, damping = trial_value, (0.1 * damping if damping > least else 0.0)
-                    for i in range(4):
-                        q[i], g[i] = trial[i], trial_g[i]
-                    for i in range(16):
-                        H[i] = trial_H[i]
-                else:
-                    damping = 4.0 * damping if damping >= least else least
-                if done:
-                    break
-            if not done or value >= 0.0:
-                continue
-            known = False
-            for j in range(count):
-                cosine = first = second = 0.0
+                    q[i], g[i] = trial[i], trial_g[i]
+                for i in range(16):
+                    H[i] = trial_H[i]
+            else:
+                damping = 4.0 * damping if damping >= least else least
+            if done:
+                break
+        if not done or value >= 0.0:
+            continue
+        known = False
+        for j in range(count):
+            cosine = first = second = 0.0
+            for i in range(4):
+                cosine += q[i] * found[4 * j + i]
+                first += q[i] * q[i]
+                second += found[4 * j + i] * found[4 * j + i]
+            known |= fabs(cosine) > same * sqrt(first * second)
+        if not known:
+            values[count] = value
+            for i in range(4):
+                found[4 * count + i] = q[i]
+            count += 1
+    return count
+
+
+cdef inline int pair(int i, int j) noexcept nogil:
+    """Place of q_i q_j in m(q)."""
+    return 4 * i - i * (i + 1) // 2 + j if i < j else 4 * j - j * (j + 1) // 2 + i
+
+
+cdef void derivatives_of(const double *S, double *D) noexcept nogil:
+    """D (10, 16): the Hessian of m' S m, flattened, is m(q)' D; S is (10, 10)."""
+    cdef int a, b, k, x, y, twice
+    for k in range(160):
+        D[k] = 0.0
+    for x in range(4):
+        for y in range(4):
+            twice = 2 if x == y else 1
+            for k in range(10):
+                D[16 * k + 4 * x + y] += 2.0 * twice * S[10 * k + pair(x, y)]
+            for a in range(4):
+                for b in range(4):
+                    twice = (2 if x == a else 1) * (2 if y == b else 1)
+                    D[16 * pair(a, b) + 4 * x + y] += 2.0 * twice * S[10 * pair(x, a) + pair(y, b)]
+
+
+cdef double scaled(double *numbers, int count) noexcept nogil:
+    """Divide by the norm, which is returned."""
+    cdef int i
+    cdef double norm = 0.0
+    for i in range(count):
+        norm += numbers[i] * numbers[i]
+    norm = sqrt(norm)
+    for i in range(count):
+        numbers[i] /= norm
+    return norm
+
+
+cdef int lengthened(
+    const double *D, const double *L, const double[:, ::1] seeds, double *starts
+) noexcept nogil:
+    """The minimum (B', 4) of F along each seed; those along which it only grows are left out. How many they are."""
+    cdef int b, i, j, count = 0
+    cdef double g[4]
+    cdef double H[16]
+    cdef double quadratic, quartic, length
+    for b in range(seeds.shape[0]):
+        quadratic = 0.0
+        for i in range(4):
+            for j in range(4):
+                quadratic += seeds[b, i] * L[4 * i + j] * seeds[b, j]
+        quartic = parts(D, L, &seeds[b, 0], g, H) - quadratic
+        if quadratic < 0.0 < quartic:
+            length = sqrt(-quadratic / (2.0 * quartic))
+            for i in range(4):
+                starts[4 * count + i] = seeds[b, i] * length
+            count += 1
+    return count
+
+
+cdef void residual_rows(const double *X, double u, const double *mean, double *row) noexcept nogil:
+    """Six numbers of a row that depend on a point: X, then mean - u X; the others are zero."""
+    cdef int a
+    for a in range(3):
+        row[a], row[3 + a] = X[a], mean[a] - u * X[a]
+
+
+def pnp(
+    const double[:, ::1] X, const double[:, ::1] image_points, const double[::1] w, const double[:, ::1] forms,
+    const double[:, ::1] seeds, int steps, double converged, double same
+):
+    """Minima of the cost of `fgrecon.solve.proposals.aspnp` that are found by descending from seeds.
+
+    Args:
+        X: (N, 3) points from their centroid, of size one. image_points: (N, 2). w: (N,) of sum one.
+        forms: (9, 10) with r = forms m(q). seeds: (B, 4).
+        steps, converged, same: As `fgrecon.solve.proposals._polynomial` has them.
+
+    Returns:
+        (B', 9) r of each, and (B', 3): the squared length of q, the rms, and the share of the weight behind the camera;
+        then the rms of an object at infinity, and the largest deviation of an image point from the mean.
+    """
+    cdef int N = X.shape[0], i, j, k, l, a, c, count
+    cdef double mean[2]
+    cdef double means[6]
+    cdef double row[6]
+    cdef double full[9]
+    cdef double square[81]
+    cdef double right[9]
+    cdef double S[100]
+    cdef double half[90]
+    cdef double L[16]
+    cdef double D[160]
+    cdef double norm_S, norm_L, spread = 0.0, widest = 0.0, off, error, scale, total
+    cdef double[:, ::1] starts = np.empty((seeds.shape[0], 4))
+    cdef double[:, ::1] q = np.empty((seeds.shape[0], 4))
+    cdef double[::1] values = np.empty(seeds.shape[0])
+    cdef double[:, ::1] r, told
+    if X.shape[1] != 3 or image_points.shape[0] != N or image_points.shape[1] != 2 or w.shape[0] != N:
+        raise ValueError("X (N, 3), image_points (N, 2) and w (N,) are wanted")
+    if forms.shape[0] != 9 or forms.shape[1] != 10 or seeds.shape[1] != 4:
+        raise ValueError("forms (9, 10) and seeds (B, 4) are wanted")
+    with nogil:
+        mean[0] = mean[1] = 0.0
+        for i in range(6):
+            means[i] = 0.0
+        for i in range(N):
+            for c in range(2):
+                mean[c] += w[i] * image_points[i, c]
+                for a in range(3):
+                    means[3 * c + a] += w[i] * image_points[i, c] * X[i, a]
+        for i in range(81):
+            square[i] = 0.0
+        for i in range(9):
+            right[i] = 0.0
+        for i in range(N):
+            for c in range(2):
+                residual_rows(&X[i, 0], image_points[i, c], &means[3 * c], row)
+                off = image_points[i, c] - mean[c]
+                widest, spread = max(widest, fabs(off)), spread + w[i] * off * off
+                for a in range(9):
+                    full[a] = 0.0
+                for a in range(3):
+                    full[3 * c + a], full[6 + a] = row[a], row[3 + a]
+                for j in range(9):
+                    right[j] += w[i] * full[j] * off
+                    for k in range(9):
+                        square[9 * j + k] += w[i] * full[j] * full[k]
+        for j in range(9):
+            for k in range(10):
+                total = 0.0
+                for l in range(9):
+                    total += square[9 * j + l] * forms[l, k]
+                half[10 * j + k] = total
+        for j in range(10):
+            for k in range(10):
+                total = 0.0
+                for l in range(9):
+                    total += forms[l, j] * half[10 * l + k]
+                S[10 * j + k] = total
+        for i in range(4):
+            for j in range(4):
+                total = 0.0
+                for l in range(9):
+                    total -= 2.0 * right[l] * forms[l, pair(i, j)]
+                L[4 * i + j] = total if i == j else 0.5 * total
+        norm_S, norm_L = scaled(S, 100), scaled(L, 16)
+        derivatives_of(S, D)
+        count = lengthened(D, L, seeds, &starts[0, 0])
+        count = descended(D, L, &starts[0, 0], count, steps, converged, same, &q[0, 0], &values[0])
+        scale = sqrt(norm_L / norm_S)
+    r, told = np.empty((count, 9)), np.empty((count, 3))
+    with nogil:
+        for j in range(count):
+            told[j, 0] = told[j, 1] = told[j, 2] = 0.0
+            for i in range(4):
+                q[j, i] *= scale
+                told[j, 0] += q[j, i] * q[j, i]
+            for l in range(9):
+                r[j, l] = 0.0
                 for i in range(4):
-                    cosine += q[i] * found[j, i]
-                    first += q[i] * q[i]
-                    second += found[j, i] * found[j, i]
-                known |= fabs(cosine) > same * sqrt(first * second)
-            if not known:
-                values[count] = value
-                for i in range(4):
-                    found[count, i] = q[i]
-                count += 1
-    order = np.argsort(np.asarray(values)[:count], kind="stable")
-    return np.asarray(found)[order], np.asarray(values)[order]
+                    for k in range(i, 4):
+                        r[j, l] += forms[l, pair(i, k)] * q[j, i] * q[j, k]
+            for i in range(N):
+                for c in range(2):
+                    residual_rows(&X[i, 0], image_points[i, c], &means[3 * c], row)
+                    error = mean[c] - image_points[i, c]
+                    for a in range(3):
+                        error += row[a] * r[j, 3 * c + a] + row[3 + a] * r[j, 6 + a]
+                    told[j, 1] += w[i] * error * error
+                if 1.0 + r[j, 6] * X[i, 0] + r[j, 7] * X[i, 1] + r[j, 8] * X[i, 2] <= 0.0:
+                    told[j, 2] += w[i]
+            told[j, 1] = sqrt(told[j, 1])
+    return np.asarray(r), np.asarray(told), sqrt(spread), widest
 
 
 def extents(const double[:, ::1] points, const double[:, :, ::1] rotation, double u, double v):

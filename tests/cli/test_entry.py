@@ -67,4 +67,37 @@ def test_other_errors_keep_their_traceback_and_who_ignores_interrupts_goes_on(mo
 
 def test_it_is_the_command():
     scripts = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["scripts"]
-    assert scripts == {"fgrecon": "fgrecon.cli.entry:main"}
+    assert scripts == {"fgrecon": "fgrecon.cli.entry:run"}
+
+
+ENDING = """
+import atexit, threading, time
+from fgrecon.cli import entry
+
+def late():
+    time.sleep(0.2)
+    print("thread", flush=True)
+
+atexit.register(print, "registered")
+threading.Thread(target=late).start()
+entry.main = lambda: exit({code!r})
+entry.run()
+"""
+
+
+@pytest.mark.parametrize(("code", "status"), [(None, 0), (3, 3), ("a message", 1)])
+def test_the_end_waits_for_threads_and_calls_what_is_registered(code, status):
+    command = [sys.executable, "-c", ENDING.format(code=code)]
+    done = subprocess.run(command, capture_output=True, check=False, text=True)
+    assert (done.returncode, done.stdout.split()) == (status, ["thread", "registered"])
+    assert done.stderr == ("" if code != "a message" else "a message\n")
+
+
+def test_a_reader_that_has_gone_is_told_as_ever():
+    program = "from fgrecon.cli import entry; entry.main = lambda: print('x' * 10); entry.run()"
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.stderr is not None
+        assert b"BrokenPipeError" in process.stderr.read()
+    assert process.returncode != 0

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from factors.native import native
+from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options, SearchOptions, ShapeOptions
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals import _polynomial
+from fgrecon.solve.proposals.aspnp import aspnp
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.starts import _extents
 from fgrecon.solve.track import reconstruct_track
@@ -93,14 +95,22 @@ def test_newton_finds_the_minima_that_the_roots_give():
     assert missed <= 0.01 * found
 
 
-def test_seeds_lead_to_the_same_minima_without_the_kernel(monkeypatch):
-    rng = np.random.default_rng(1)
-    A, L = rng.normal(size=(20, 10)), rng.normal(size=(4, 4))
-    compiled = _polynomial.minima(A.T @ A, L + L.T, every=False)
-    monkeypatch.setenv("FGRECON_KERNEL", "numpy")
-    plain = _polynomial.minima(A.T @ A, L + L.T, every=False)
-    np.testing.assert_allclose(compiled.value, plain.value, rtol=1e-9)
-    assert len(compiled.q) == len(plain.q)
+def test_poses_from_points_are_numpys(monkeypatch):
+    rng, found = np.random.default_rng(1), 0
+    points = load_prior("car14").mean
+    for angle in np.arange(0.0, 6.0, 0.3):
+        pixels = CAMERA.project(transform(yaw_pose(angle), points)) + rng.normal(size=(len(points), 2))
+        rays, weights = CAMERA.rays(pixels)[:, :2], rng.uniform(0.1, 1.0, len(points))
+        compiled = aspnp(points, rays, weights, every=False, tolerance=np.inf)
+        with monkeypatch.context() as patch:
+            patch.setenv("FGRECON_KERNEL", "numpy")
+            plain = aspnp(points, rays, weights, every=False, tolerance=np.inf)
+        found += len(plain)
+        for one, other in zip(compiled, plain, strict=True):
+            np.testing.assert_allclose(one.camera_T_object, other.camera_T_object, rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose([one.cost, one.rms], [other.cost, other.rms], rtol=1e-9)
+            assert one.weight_in_front == pytest.approx(other.weight_in_front, abs=1e-12)
+    assert found > 20
 
 
 def test_extents_and_rays_are_numpys(monkeypatch):

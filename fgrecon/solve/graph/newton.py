@@ -18,8 +18,9 @@ leads, which is a long way if it is across a plateau.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -45,8 +46,13 @@ class Step:
 
     update: int  # index of the weight update
     step: int  # index of the solver's iteration within it
-    values: gtsam.Values  # where it ended
+    ended: Callable[[], gtsam.Values]  # makes `values`
     weights: Sequence[Weights]  # weights that it was made under; Newton's method has those of where it ended
+
+    @property
+    def values(self) -> gtsam.Values:
+        """Where it ended, made anew each time."""
+        return self.ended()
 
 
 class Descent:
@@ -167,7 +173,7 @@ class Descent:
 
     def _record(self) -> None:
         if self.graph.options.keep_history:
-            self.steps.append(Step(self.iterations, 0, self.values, self.weights))
+            self.steps.append(Step(self.iterations, 0, partial(self._system.values, self._point), self.weights))
         self.iterations += 1
 
     def _iterate(self, steps: Anderson) -> bool:

@@ -19,6 +19,7 @@ The strategies of the paper's Eqs. 4 and 5, whose weights belong to no energy, m
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -169,7 +170,9 @@ class _Loop:
         record = self.graph.options.keep_history
         graph = self.graph.build(self.weights, Form.NEWTON)
         solution = minimise(graph, self.values, relative_tolerance=tolerance, record=record)
-        self.steps += [Step(self.update, i, values, self.weights) for i, values in enumerate(solution.path)]
+        self.steps += [
+            Step(self.update, i, partial(gtsam.Values, values), self.weights) for i, values in enumerate(solution.path)
+        ]
         self.values, self.converged = solution.values, solution.converged
         self.iterations += solution.iterations
         self.update += 1

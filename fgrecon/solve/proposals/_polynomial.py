@@ -27,7 +27,6 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.native import native
 from fgrecon.core.compiled import lapack, pivots_of_qr
 
 Array = NDArray[np.float64]
@@ -82,7 +81,7 @@ def minima(S: Array, L: Array, *, every: bool = True) -> Minima:
     S, L = S / norm_S, L / norm_L
     derivatives = _derivatives(S)
     if not every:
-        p, value = _from_seeds(derivatives, L)
+        p, value = _polish(derivatives, L, _descend(derivatives, L, _lengthen(derivatives, L, _tables().seeds)))
         return Minima(p * np.sqrt(norm_L / norm_S), value * (norm_L**2 / norm_S), complete=False)
     starts, complete = _stationary_directions(S, L)
     starts = _lengthen(derivatives, L, starts)
@@ -93,16 +92,9 @@ def minima(S: Array, L: Array, *, every: bool = True) -> Minima:
     return Minima(p * np.sqrt(norm_L / norm_S), value * (norm_L**2 / norm_S), complete)
 
 
-def _from_seeds(derivatives: Array, L: Array) -> tuple[Array, Array]:
-    """Minima (B, 4) that are found by descending from the seeds, and F there (B,), best first."""
-    starts = _lengthen(derivatives, L, _tables().seeds)
-    kernel = native("fgrecon.solve._native")
-    if kernel is None:
-        return _polish(derivatives, L, _descend(derivatives, L, starts))
-    q, value = kernel.descend(
-        np.ascontiguousarray(derivatives), np.ascontiguousarray(L), starts, _DESCENT_STEPS, _CONVERGED, _SAME
-    )
-    return q, value
+def descent() -> tuple[Array, int, float, float]:
+    """What the compiled kernel descends by: seeds (48, 4), steps, and when it has converged, and two are one."""
+    return _tables().seeds, _DESCENT_STEPS, _CONVERGED, _SAME
 
 
 def _stationary_directions(S: Array, L: Array) -> tuple[Array, bool]:

@@ -24,11 +24,14 @@ References:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from factors.native import native
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.solve.proposals import _polynomial
@@ -87,29 +90,51 @@ def aspnp(
     w = weights / total
     centroid = w @ points
     X, scale = _scaled(points - centroid, w)
-    A, b = _residuals(X, image_points, w)
-    linear = (-2 * b @ A)[None].dot(_FORMS.reshape(9, 16)).reshape(4, 4)
-    minima = _polynomial.minima(_ROWS.T @ (A.T @ A) @ _ROWS, linear, every=every)
+    kernel = None if every else native("fgrecon.solve._native")
+    found = _minima(X, image_points, w, every=every) if kernel is None else _descended(kernel, X, image_points, w)
 
-    squared_length = (minima.q * minima.q).sum(axis=1)
-    r = _polynomial.products(minima.q) @ _ROWS.T
-    rms = np.linalg.norm(r @ A.T - b, axis=1)
-    relative_depth = 1 + r[:, 6:] @ X.T
-    weight_in_front = 1 - (relative_depth <= 0) @ w  # exactly 1 where no point is behind
-    spread = float(np.linalg.norm(b))  # the rms of an object at infinity
-    kept = np.flatnonzero((weight_in_front > 0.5) & (rms < (1 - _EXPLAINED) * spread))
+    weight_in_front = 1 - found.behind  # exactly 1 where no point is
+    kept = np.flatnonzero((weight_in_front > 0.5) & (found.rms < (1 - _EXPLAINED) * found.spread))
     if not len(kept):
         fix = "No pose in front of the camera explains the image points: mend the correspondences."
         raise DegenerateProblemError("image_points", f"{len(points)} correspondences", fix)
-    kept = kept[np.argsort(rms[kept])]
+    kept = kept[np.argsort(found.rms[kept])]
     solutions = []
-    for i in kept[rms[kept] <= rms[kept[0]] + tolerance * spread]:
-        pose = np.eye(4)
-        pose[:3, :3] = r[i].reshape(3, 3) / squared_length[i]
-        ray = np.append((w * relative_depth[i]) @ image_points, 1.0)
-        pose[:3, 3] = ray * (scale / squared_length[i]) - pose[:3, :3] @ centroid
-        solutions.append(PnPSolution(pose, total * float(rms[i]) ** 2, float(rms[i]), float(weight_in_front[i])))
+    for i in kept[found.rms[kept] <= found.rms[kept[0]] + tolerance * found.spread]:
+        pose, rms = np.eye(4), float(found.rms[i])
+        pose[:3, :3] = found.r[i].reshape(3, 3) / found.squared_length[i]
+        ray = np.append((w * (1 + X @ found.r[i, 6:])) @ image_points, 1.0)
+        pose[:3, 3] = ray * (scale / found.squared_length[i]) - pose[:3, :3] @ centroid
+        solutions.append(PnPSolution(pose, total * rms**2, rms, float(weight_in_front[i])))
     return tuple(solutions)
+
+
+class _Found(NamedTuple):
+    """Minima of the cost."""
+
+    r: Array  # (B, 9) R / z, row by row
+    squared_length: Array  # (B,) of q
+    rms: Array  # (B,)
+    behind: Array  # (B,) share of the weight that is behind the camera
+    spread: float  # the rms of an object at infinity
+
+
+def _minima(X: Array, image_points: Array, w: Array, *, every: bool) -> _Found:
+    A, b = _residuals(X, image_points, w)
+    linear = (-2 * b @ A)[None].dot(_FORMS.reshape(9, 16)).reshape(4, 4)
+    q = _polynomial.minima(_ROWS.T @ (A.T @ A) @ _ROWS, linear, every=every).q
+    r = _polynomial.products(q) @ _ROWS.T
+    behind = (1 + r[:, 6:] @ X.T <= 0) @ w
+    return _Found(r, (q * q).sum(axis=1), np.linalg.norm(r @ A.T - b, axis=1), behind, float(np.linalg.norm(b)))
+
+
+def _descended(kernel: Any, X: Array, image_points: Array, w: Array) -> _Found:
+    """The same, compiled, of those that are found by descending."""
+    arrays = map(np.ascontiguousarray, (X, image_points, w, _ROWS))
+    r, told, spread, widest = kernel.pnp(*arrays, *_polynomial.descent())
+    _check_apart(widest, image_points)
+    squared_length, rms, behind = told.T
+    return _Found(r, squared_length, rms, behind, spread)
 
 
 def _checked(points: ArrayLike, image_points: ArrayLike, weights: ArrayLike | None) -> tuple[Array, Array, Array]:
@@ -133,11 +158,13 @@ def _checked(points: ArrayLike, image_points: ArrayLike, weights: ArrayLike | No
 
 def _scaled(X: Array, w: Array) -> tuple[Array, float]:
     """Centred points (N, 3) divided by their rms distance from the centroid, and that distance."""
-    spreads = np.linalg.eigvalsh((w[:, None] * X).T @ X)
-    if not spreads[1] > _THICKNESS**2 * spreads[2]:
+    moments = (w[:, None] * X).T @ X
+    trace = float(moments.trace())  # of the squares of the spreads along three axes, whose products in pairs are:
+    pairs = (trace**2 - float(np.vdot(moments, moments))) / 2
+    if not pairs > _THICKNESS**2 * trace**2:
         fix = "Give points of positive weight that are not on one line."
         raise DegenerateProblemError("points", f"{len(X)} points on a line", fix)
-    scale = float(np.sqrt(spreads.sum()))
+    scale = math.sqrt(trace)
     return X / scale, scale
 
 
@@ -149,9 +176,14 @@ def _residuals(X: Array, image_points: Array, w: Array) -> tuple[Array, Array]:
     A[0, :, :3] = A[1, :, 3:6] = X
     A[:, :, 6:] = (w @ uX)[:, None] - uX
     b = image_points.T - (w @ image_points)[:, None]
-    if not np.abs(b).max() > 1e-12 * max(1.0, np.abs(image_points).max()):
-        raise DegenerateProblemError("image_points", "all in one place", "Give image points of the visible object.")
+    _check_apart(np.abs(b).max(), image_points)
     return (A * root[:, None]).reshape(2 * n, 9), (b * root).ravel()
+
+
+def _check_apart(widest: float, image_points: Array) -> None:
+    """Refuse image points whose largest deviation from their mean is none."""
+    if not widest > 1e-12 * max(1.0, np.abs(image_points).max()):
+        raise DegenerateProblemError("image_points", "all in one place", "Give image points of the visible object.")
 
 
 def _rotation_forms() -> tuple[Array, Array]:

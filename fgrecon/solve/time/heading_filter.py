@@ -39,6 +39,7 @@ HEADINGS = 2.0 * np.pi * np.arange(_BINS) / _BINS
 """(B,) headings of the grid, `rotation_y` in radians."""
 
 _HALVES = np.array([half_around(heading, _BINS) for heading in HEADINGS])
+_WITHIN = np.abs(wrap_angle(HEADINGS - HEADINGS[:, None])) <= np.pi / 2.0  # (B, B) of each the half around it
 
 
 @dataclass(frozen=True)
@@ -64,9 +65,18 @@ class Belief:
     @property
     def heading(self) -> float:
         """The most probable heading of the more probable half of all, radians."""
-        towards = _HALVES @ self.probability
-        best = np.abs(wrap_angle(HEADINGS - HEADINGS[int(towards.argmax())])) <= np.pi / 2.0
-        return float(HEADINGS[int(np.where(best, self.probability, -1.0).argmax())])
+        return float(HEADINGS[self._bin])
+
+    @property
+    def _bin(self) -> int:
+        """Place of the heading in the grid."""
+        half = _WITHIN[(_HALVES @ self.probability).argmax()]
+        return int(np.where(half, self.probability, -1.0).argmax())
+
+    @property
+    def sureness(self) -> float:
+        """Probability of the headings within a quarter turn of the heading."""
+        return min(float(_HALVES[self._bin] @ self.probability), 1.0)
 
     def facing(self, heading: float) -> float:
         """Probability of the headings within a quarter turn of one."""
@@ -217,7 +227,7 @@ class TrackHeading:
     @property
     def belief(self) -> Belief:
         """By all of them, or by the last images alone where these are surer, and by the way."""
-        surer = max(self.by_views, Belief.none().updated(self.recent), key=lambda one: one.facing(one.heading))
+        surer = max(self.by_views, Belief.none().updated(self.recent), key=lambda one: one.sureness)
         return surer.updated(np.log(self.way.probability))
 
 
@@ -245,16 +255,17 @@ def _bump(off: Array) -> Array:
 
 
 def _kernel_product(probability: Array, seconds: float, turn: float) -> Array:
-    """Turned, blurred, and with a little of everything; done in Fourier series, exact on the circle."""
-    smooth = np.maximum(np.fft.irfft(np.fft.rfft(probability) * _turned(seconds, turn), _BINS), 0.0)
+    """Turned, blurred, and with a little of everything."""
+    smooth = np.maximum(_turned(seconds, turn) @ probability, 0.0)
     elsewhere = min(SETTINGS.jump_probability_per_s * seconds, 0.5)
     result: Array = (1.0 - elsewhere) * smooth / smooth.sum() + elsewhere / _BINS
     return result
 
 
-@lru_cache(maxsize=1024)  # the steps of a window come again with the next frame
-def _turned(seconds: float, turn: float) -> NDArray[np.complex128]:
-    """(B / 2 + 1,) factors of a Fourier series."""
+@lru_cache(maxsize=64)  # the steps of a window come again with the next frame, for each vehicle
+def _turned(seconds: float, turn: float) -> Array:
+    """(B, B) what turns and blurs: a Fourier series, exact on the circle."""
     order = np.arange(_BINS // 2 + 1)
     spread = SETTINGS.turn_rate_sigma_rad * np.sqrt(seconds)
-    return np.asarray(np.exp(-1j * order * turn - 0.5 * np.square(order * spread)))
+    kernel = np.fft.irfft(np.exp(-1j * order * turn - 0.5 * np.square(order * spread)), _BINS)
+    return np.asarray(kernel[np.arange(_BINS)[:, None] - np.arange(_BINS)])
