@@ -45,7 +45,8 @@ def perform(job: VideoJob, viewer: Viewer, screen: Screen) -> VideoRun:
         def smoothing(run: VideoRun) -> None:
             advance("Smoothing", 0, None, counted(len(run.tracks), "car"))
 
-        return track_video(job, screen.warn, go_on=go_on, smoothing=smoothing, window_graph=viewer.requested)
+        seen = viewer.requested
+        return track_video(job, screen.warn, go_on=go_on, smoothing=smoothing, window_graph=seen, estimated=seen)
 
 
 @contextmanager

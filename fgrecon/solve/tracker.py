@@ -142,6 +142,7 @@ class Tracker:
         ground: Ground | float | None = None,
         motion_covariance: ArrayLike | None = None,
         evidence: Sequence[Evidence] = (),
+        estimated: bool = True,
     ) -> dict[int, VehicleEstimate]:
         """Take a frame. Calls from several threads are taken one after the other.
 
@@ -156,6 +157,8 @@ class Tracker:
             motion_covariance: (6, 6) of the camera's motion since the last frame that has a place: rotation in radians,
                 then translation in metres, in this camera's frame (`CameraMotion`); None where it is exact.
             evidence: What other sensors say of the frame's vehicles, such as `fgrecon.Points` of a scan.
+            estimated: Whether estimates are made; else there are those of `smooth` alone, and `placed` says where
+                vehicles are.
 
         Returns:
             The estimates by id, by this frame and those before; vehicles without one are in `refused`.
@@ -177,7 +180,7 @@ class Tracker:
             clock = max(time, self._clock + GROUND_FILTER.shortest_s)
             drift = self._drift.moved(place, moved)
             frame = CameraFrame(clock, used, plane, place, moved, drift, sensed=plane is not given)
-            found = self._update(frame, time, observations, sensed)
+            found = self._update(frame, time, observations, sensed, estimated=estimated)
             self._time, self._clock, self._cameras, self._drift = time, clock, cameras, frame.drift
             return found
 
@@ -187,6 +190,8 @@ class Tracker:
         time: float,
         observations: Mapping[int, KeypointsLike],
         evidence: Sequence[Evidence],
+        *,
+        estimated: bool,
     ) -> dict[int, VehicleEstimate]:
         """The estimates of a frame's vehicles; whatever is raised, the tracker is what it was."""
         seen, refused = self._observe(observations, frame, evidence)
@@ -213,7 +218,7 @@ class Tracker:
             context = FrameContext(time, frame.world_T_camera, grounded)
             contexts = (context,) if before is None else (*before.contexts, context)
             tracks[name] = VehicleTrack(vehicle, frame, contexts[-len(vehicle.past) :], vehicles.classes[name])
-        found = {name: self._estimate(name, track) for name, track in tracks.items()}
+        found = {name: self._estimate(name, track) for name, track in tracks.items()} if estimated else {}
         self._tracks, self._road, self.refused = self._tracks | tracks, road, refused
         return found
 
@@ -277,6 +282,22 @@ class Tracker:
             frames[0] = replace(frames[0], step=None)
         smoothed = single_threaded(self._smoothed)
         return {name: Deferred(partial(smoothed, name, track, pasts[name])) for name, track in tracks.items()}
+
+    def placed(self, vehicle: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Where a vehicle is in its last frame, by this and those before; None of one that is not there.
+
+        Args:
+            vehicle: Its id.
+
+        Returns:
+            Its pose (4, 4) in the camera's frame, and its keypoints (K, 3) in its own.
+        """
+        with self._one_call:
+            track = self._tracks.get(vehicle)
+        if track is None:
+            return None
+        state, prior = track.vehicle.solved.adjusted.optimum.state, track.vehicle.past[-1].problem.model.prior
+        return np.asarray(state.poses[-1].matrix()), prior.keypoints(*state.shapes[0])
 
     def boxes_off(self) -> float | None:
         """By how much 2D boxes are larger than their vehicles look, as a fraction; negative where smaller.

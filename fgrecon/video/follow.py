@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.poses import CameraPoses
+from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import Association, Candidate, ground_contact
 from fgrecon.video.camera_path import CameraPath
 from fgrecon.video.records import FrameRecord, Sighting
@@ -116,6 +117,7 @@ class Follower:
         moving: bool = False,
         window_graph: Callable[[int], tuple[GraphFactor, ...]] | None = None,
         sense: Callable[[FrameRecord], Sequence[Evidence]] | None = None,
+        estimated: bool = True,
     ) -> None:
         """Take what does the work.
 
@@ -129,8 +131,10 @@ class Follower:
             window_graph: Gives the factors of a vehicle's window, as `fgrecon.Tracker.window_graph` does. Each frame
                 has those of one: of the longest windows that of the nearest vehicle. None: no frame has them.
             sense: What other sensors say of a frame's vehicles; None where there are none.
+            estimated: Whether frames have estimates as they come; else the tracker, a `fgrecon.Tracker`, makes none
+                before it smooths.
         """
-        self._window_graph, self._sense = window_graph, sense
+        self._window_graph, self._sense, self._estimated = window_graph, sense, estimated
         self.tracker, self.association, self.camera, self.ground = tracker, association, camera, ground
         self.poses, self._path = poses, CameraPath(poses, moving=moving)
         self._time = -np.inf
@@ -158,11 +162,11 @@ class Follower:
             world_T_camera=world_T_camera,
             ground=self.ground,
             motion_covariance=motion_covariance,
-            **({} if self._sense is None else {"evidence": self._sense(record)}),
+            **self._more(record),
         )
         for identity in ids:
-            if identity is not None and identity in estimates:
-                self._set_motion(identity, estimates[identity])
+            if identity is not None and (placed := self._placed(identity, observations, estimates)) is not None:
+                self._set_motion(identity, record.time, *placed)
         return TrackedFrame(
             number=record.number,
             time=record.time,
@@ -205,14 +209,29 @@ class Follower:
             votes[sighting.kind] += 1
         return votes.most_common(1)[0][0] if votes else DEFAULT_KIND
 
-    def _set_motion(self, identity: int, estimate: VehicleEstimate) -> None:
-        """Give the association a vehicle's pose and its motion relative to the camera."""
-        result = estimate.reconstruction
-        before = self._last.get(identity)
+    def _more(self, record: FrameRecord) -> dict[str, Any]:
+        """Arguments that not every tracker needs to know."""
+        sensed = {} if self._sense is None else {"evidence": self._sense(record)}
+        return sensed if self._estimated else sensed | {"estimated": False}
+
+    def _placed(
+        self, identity: int, observations: Mapping[int, Observation], estimates: Mapping[int, VehicleEstimate]
+    ) -> tuple[Array, Array] | None:
+        """Pose (4, 4) of a vehicle of the frame and its keypoints (K, 3); None where it could not be solved."""
+        if isinstance(self.tracker, Tracker) and not self._estimated:
+            there = identity in observations and identity not in self.tracker.refused
+            return self.tracker.placed(identity) if there else None
+        if identity not in estimates:
+            return None
+        result = estimates[identity].reconstruction
+        return result.camera_T_object, result.wireframe
+
+    def _set_motion(self, identity: int, time: float, camera_T_object: Array, points: Array) -> None:
+        """Give the association a vehicle's pose (4, 4) and its motion relative to the camera; points are (K, 3)."""
+        before, place = self._last.get(identity), camera_T_object[:3, 3]
         velocity = np.zeros(3)
-        if before is not None and estimate.time > before[0]:
-            now = (result.location - before[1]) / (estimate.time - before[0])
+        if before is not None and time > before[0]:
+            now = (place - before[1]) / (time - before[0])
             velocity = (1.0 - _VELOCITY_GAIN) * before[2] + _VELOCITY_GAIN * now
-            points = transform(result.camera_T_object, result.wireframe)
-            self.association.set_motion(identity, points, velocity, self.camera)
-        self._last[identity] = estimate.time, result.location, velocity
+            self.association.set_motion(identity, transform(camera_T_object, points), velocity, self.camera)
+        self._last[identity] = time, place, velocity

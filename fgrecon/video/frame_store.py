@@ -74,13 +74,14 @@ class FrameStore(Sequence[TrackedFrame]):
         self._places.append((self._write(replace(frame, estimates={})), {}))
         for identity, estimate in frame.estimates.items():
             self._keep(len(self) - 1, identity, estimate)
+        if frame.observations:
             self._at[frame.time] = len(self) - 1
         self._last = frame
 
     def put(self, identity: int, estimate: VehicleEstimate) -> None:
-        """Let an estimate take the place of that of the same vehicle and time, if there is one."""
+        """Let an estimate be that of its vehicle in the frame of its time, if that shows it."""
         index = self._at.get(estimate.time)
-        if index is not None and identity in self.heads[index].found:
+        if index is not None and identity in self.heads[index].identities:
             self._keep(index, identity, estimate)
             self._last = None if index == len(self) - 1 else self._last
 
@@ -140,14 +141,18 @@ class _Pickler(pickle.Pickler):
         super().__init__(file, pickle.HIGHEST_PROTOCOL)
         self._shared = shared
 
-    def persistent_id(self, value: Any) -> int | None:
-        if not isinstance(value, _SHARED):
-            return None
-        self._shared[id(value)] = value  # and so no other has that id
-        return id(value)
-
     def reducer_override(self, value: Any) -> Any:
-        return (object.__new__, (type(value),), vars(value)) if isinstance(value, LazyFields) else NotImplemented
+        if isinstance(value, LazyFields):
+            return object.__new__, (type(value),), vars(value)
+        if not isinstance(value, _SHARED):
+            return NotImplemented
+        self._shared[id(value)] = value  # and so no other has that id
+        return _shared, (id(value),)
+
+
+def _shared(key: int) -> Any:
+    """What results share, by its key; an `_Unpickler` has its own."""
+    raise pickle.UnpicklingError(f"{key} is of a store of frames")
 
 
 class _Unpickler(pickle.Unpickler):
@@ -155,5 +160,5 @@ class _Unpickler(pickle.Unpickler):
         super().__init__(file)
         self._shared = shared
 
-    def persistent_load(self, pid: int) -> Any:
-        return self._shared[pid]
+    def find_class(self, module: str, name: str) -> Any:
+        return self._shared.__getitem__ if name == _shared.__name__ else super().find_class(module, name)

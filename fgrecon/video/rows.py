@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 FRAME_FORMAT = "fgrecon.video-frame/1"
 _UNKNOWN = -1.0
+_ARRAYS = frozenset(["pose_covariance", "world_T_object"])  # of a row; None where they are not known
 
 
 def rows_of(frames: Iterable[TrackedFrame], *, flat: bool = True) -> list[dict[str, Any]]:
@@ -30,18 +31,23 @@ def rows_of(frames: Iterable[TrackedFrame], *, flat: bool = True) -> list[dict[s
         frames: The frames.
         flat: Numbers and texts alone; else arrays as lists beside them, as in `Reconstruction.to_row`.
     """
-    return [
-        {"frame": frame.number, "time": frame.time, **_row(frame, identity, flat=flat)}
+    rows = [
+        {"frame": frame.number, "time": frame.time, **_row(frame, identity)}
         for frame in frames
         for identity in sorted(frame.estimates)
     ]
+    return flattened(rows) if flat else rows
 
 
-def _row(frame: TrackedFrame, identity: int, *, flat: bool) -> dict[str, Any]:
+def flattened(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The numbers and texts alone of rows that have arrays."""
+    return [{k: v for k, v in row.items() if not (isinstance(v, list) or k in _ARRAYS)} for row in rows]
+
+
+def _row(frame: TrackedFrame, identity: int) -> dict[str, Any]:
     estimate = frame.estimates[identity]
     result: Reconstruction = estimate.reconstruction
     row = result.to_row(str(identity), flat=False)
-    lists = [name for name, value in row.items() if isinstance(value, list)]
     box = frame.boxes[identity].tolist()
     in_world = estimate.world_T_object
     place = (None, None, None) if in_world is None else in_world[:3, 3].tolist()
@@ -49,8 +55,6 @@ def _row(frame: TrackedFrame, identity: int, *, flat: bool) -> dict[str, Any]:
     kind = frame.kinds.get(identity, DEFAULT_KIND)
     row |= {"id": identity, "kind": kind, "score": frame.scores[identity]}
     row |= dict(zip(("x1", "y1", "x2", "y2"), box, strict=True))
-    if flat:
-        return {name: value for name, value in row.items() if name not in lists}
     covariance = result.uncertainty.pose_covariance
     return row | {
         "pose_covariance": None if covariance is None else covariance.ravel().tolist(),

@@ -55,7 +55,7 @@ from fgrecon.video.frame_detector import FrameDetector
 from fgrecon.video.given import Given, in_words, read_given
 from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import FrameRecord
-from fgrecon.video.rows import frame_lines, rows_of, tracking_text
+from fgrecon.video.rows import flattened, frame_lines, rows_of, tracking_text
 from fgrecon.video.run import VideoRun, run_video
 from fgrecon.video.single_image_tracker import SingleImageTracker
 from fgrecon.video.stages import rare_collections
@@ -373,6 +373,7 @@ def track_video(
     go_on: Callable[[VideoRun, SourceFrame | None], bool] = lambda run, frame: True,  # noqa: ARG005 - to the end
     smoothing: Callable[[VideoRun], None] = lambda run: None,  # noqa: ARG005 - of interest to progress alone
     window_graph: bool = False,
+    estimated: bool = True,
 ) -> VideoRun:
     """Look at the frames, follow the vehicles, and smooth the estimates of each when it has gone.
 
@@ -382,6 +383,8 @@ def track_video(
         go_on: Called after each frame, as that of `fgrecon.video.run_video`.
         smoothing: Called when the vehicles that have not gone are smoothed next.
         window_graph: Whether frames keep the factor graph of the tracker's window, for a viewer.
+        estimated: Whether a frame has estimates when `go_on` is called; else those alone that know what came after
+            it, once its vehicles have gone, which takes less time. Online it always has.
 
     Raises:
         InvalidInputError: The folder holds another run.
@@ -399,6 +402,7 @@ def track_video(
         moving=job.moving,
         window_graph=tracker.window_graph if isinstance(tracker, Tracker) and window_graph else None,
         sense=job.sense,
+        estimated=estimated or request.online or request.alone,
     )
     with warnings.catch_warnings(), summed_up(), _threads_beside_solving():
         warnings.simplefilter("ignore", UncoveredFramesWarning)  # said below
@@ -525,8 +529,10 @@ def write_tracks(job: VideoJob, run: VideoRun) -> None:
         for frame in run.frames:
             tracks(tracking_text([frame], job.label_offset))
             lines("".join(frame_lines([frame], ground)))
-            for add, flat in zip(tables, (True, False), strict=False):
-                add(rows_of([frame], flat=flat))
+            if tables:
+                rows = rows_of([frame], flat=False)
+                for add, some in zip(tables, (flattened(rows), rows), strict=True):
+                    add(some)
     if not run.estimates:  # no columns without a row, and a table of the run before would be taken for this one's
         for name in names:
             name.unlink(missing_ok=True)

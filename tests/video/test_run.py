@@ -30,7 +30,7 @@ from fgrecon.video import (
     run_video,
 )
 from fgrecon.video.coverage import coverage_warnings, planned_frames
-from fgrecon.video.video_job import VideoRequest, prepare_video
+from fgrecon.video.video_job import VideoRequest, prepare_video, track_video
 from tests.video.streets import make_drive
 
 CAR14 = load_category("car14")
@@ -164,6 +164,26 @@ def test_another_ground_needs_no_network(drive, tmp_path):
     assert rows_of(again.frames, flat=False) == rows_of(fresh.frames, flat=False)
     assert run(drive, tmp_path / "out")[1].looked == 0
     assert run(drive, tmp_path / "out", moving=True, ground=higher)[1].looked == 0
+
+
+def test_smoothed_estimates_are_the_same_whether_others_were_made_before(drive, tmp_path):
+    images, file = drive
+    settings = RunSettings(load_prior("car14"), GROUND, None, Options(keep_history=False))
+    request = VideoRequest(str(images), tmp_path / "now", settings, fps=10, tracks=file, forget_ids=True)
+    job, found = prepare_video(request, print), {}
+    for estimated in (True, False):
+        between = []
+        there = replace(job, request=replace(request, out=tmp_path / str(estimated)))
+        done = track_video(
+            there,
+            print,
+            go_on=lambda run, _, between=between: not between.append(len(run.frames[-1].estimates)),
+            estimated=estimated,
+        )
+        assert bool(sum(between)) is estimated
+        found[estimated] = rows_of(done.frames, flat=False)
+    assert found[True] == found[False]
+    assert len(found[True]) > 10
 
 
 def test_a_folder_is_for_one_run(drive, tmp_path):

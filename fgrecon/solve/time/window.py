@@ -134,9 +134,11 @@ def solve_window(
         extra: Makes factors of the caller's own for each step; or None.
         stands: Whether the vehicle stands, where that is known already; None where it is to be found out.
     """
+    between = _between_factors(frames, model)
 
     def solved(known: bool | None) -> WindowSolve:
-        return _solved(frames, shape, _motion_factors(frames, model, extra, known), max_iterations, known)
+        factors = [*between, *_motion_factors(frames, model, extra, known)]
+        return _solved(frames, shape, factors, max_iterations, known)
 
     tells = frames[-1].time - frames[0].time >= SETTINGS.driving_evidence_s
     if not (model.wheeled and tells and all(frame.camera_known for frame in frames[1:])):
@@ -199,19 +201,26 @@ def _observed_over_world(frames: Sequence[Frame]) -> list[bool | None]:
     return found
 
 
+def _between_factors(frames: Sequence[Frame], model: MotionModel) -> list[gtsam.NonlinearFactor]:
+    """The factors of motion between frames that follow each other."""
+    found: list[gtsam.NonlinearFactor] = []
+    share = _shares(frames)[1]
+    for (before, frame), kinds in zip(pairwise(frames), pairwise(_over_world(frames)), strict=True):
+        assert frame.step is not None
+        numbers, alike = (before.number, frame.number), kinds[0] == kinds[1]
+        found += between_terms(numbers, frame.step, frame.pose, model, share=share, alike=alike)
+    return found
+
+
 def _motion_factors(
     frames: Sequence[Frame], model: MotionModel, extra: MotionFactors | None, stands: bool | None
 ) -> list[gtsam.NonlinearFactor]:
-    """The factors of motion of frames that follow each other, about the velocity in each, and the caller's own.
+    """The factors about the velocity in each of frames that follow each other, and the caller's own.
 
     That a vehicle stands, or how fast one drives, is said once of each and not of each frame: it counts by the share.
     """
     found: list[gtsam.NonlinearFactor] = []
     over_world, (share, motion_share) = _over_world(frames), _shares(frames)
-    for (before, frame), kinds in zip(pairwise(frames), pairwise(over_world), strict=True):
-        assert frame.step is not None
-        numbers, alike = (before.number, frame.number), kinds[0] == kinds[1]
-        found += between_terms(numbers, frame.step, frame.pose, model, share=motion_share, alike=alike)
     last = next((frame for frame in frames[:0:-1] if frame.step and not frame.step.simultaneous), frames[-1])
     for frame, after, known in zip(frames, [*frames[1:], last], over_world, strict=True):
         assert after.step is not None

@@ -45,6 +45,23 @@ def test_a_track_of_one_frame_is_a_single_image():
         assert estimate.facing_probability > 0.8
 
 
+def test_estimates_that_nobody_wants_change_nothing():
+    rng = np.random.default_rng(3)
+    observations = [seen(pose, rng) for pose in approaching(9)]
+    wanted, others = fgrecon.Tracker(size_prior="kitti"), fgrecon.Tracker(size_prior="kitti")
+    assert wanted.placed(3) is None
+    for t, observation in enumerate(observations):
+        given = {"camera": CAMERA, "ground": GROUND}
+        result = wanted.update(t / 10, {3: observation}, **given)[3].reconstruction
+        assert others.update(t / 10, {3: observation}, **given, estimated=False) == {}
+        for tracker in (wanted, others):
+            pose, points = tracker.placed(3)
+            np.testing.assert_array_equal(pose, result.camera_T_object)
+            np.testing.assert_array_equal(points, result.wireframe)
+    for one, other in zip(wanted.smooth()[3], others.smooth()[3], strict=True):
+        assert one.reconstruction.to_dict() == other.reconstruction.to_dict()
+
+
 @pytest.mark.parametrize("row", [False, True], ids=["one by one", "five in a row"])
 def test_frames_that_are_turned_round_or_missing(row):
     """Of every ten frames three are missing; every fourth of the others is turned round, and once five in a row.
