@@ -6,11 +6,14 @@ commands share it, or a dataclass of further options. So a command gets its whol
 
 from __future__ import annotations
 
+import ast
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from functools import wraps
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, ClassVar, cast, get_type_hints
 
 import typer
@@ -59,6 +62,15 @@ class _Group(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:
         return [*super().list_commands(ctx), *(name for name in self.later if name not in self.commands)]
 
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Show the commands without importing what is imported later: by their docstrings."""
+        there, later = self.commands, {name: place for name, place in self.later.items() if name not in self.commands}
+        self.commands = {**there, **{name: TyperCommand(name, help=_docstring(at)) for name, at in later.items()}}
+        try:
+            super().format_help(ctx, formatter)
+        finally:
+            self.commands = there
+
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name in self.later and cmd_name not in self.commands:
             module, _, function = self.later[cmd_name].partition(":")
@@ -66,6 +78,17 @@ class _Group(TyperGroup):
             add_command(alone, cmd_name, getattr(import_module(module), function))
             self.commands[cmd_name] = get_command(alone)
         return super().get_command(ctx, cmd_name)
+
+
+def _docstring(place: str) -> str:
+    """The docstring of a command that is not imported."""
+    module, _, function = place.partition(":")
+    spec = find_spec(module)
+    assert spec is not None
+    assert spec.origin is not None
+    body = ast.parse(Path(spec.origin).read_bytes()).body
+    (command,) = (node for node in body if isinstance(node, ast.FunctionDef) and node.name == function)
+    return _flowing(ast.get_docstring(command) or "")
 
 
 def add_later(group: typer.Typer, name: str, place: str) -> None:

@@ -36,7 +36,7 @@ def with_fitted_classes(
         setup: What holds for all vehicles of the call.
         ground: The ground as it is given, or None.
     """
-    if setup.fleet is None or not setup.fleet.mixed:
+    if not setup.fits_classes:
         return list(observations)
     alone = replace(setup, ground=ground)
     return [one if _is_classed(one) else _fitted(one, camera, alone) for one in observations]

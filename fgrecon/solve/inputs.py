@@ -82,6 +82,11 @@ class SolveSetup:
         model = prepare(loaded, fleet, chosen.shape.basis_vectors)
         return cls(chosen, loaded, model, as_ground(ground), fleet)
 
+    @property
+    def fits_classes(self) -> bool:
+        """Whether the fleet has vans, so that images tell which vehicles are (`fgrecon.solve.fitted_class`)."""
+        return self.fleet is not None and self.fleet.mixed
+
     def model_of(self, observations: Sequence[Observation]) -> VehicleModel:
         """The prior prepared for a vehicle: for the class that its observations say it is of, else for all.
 

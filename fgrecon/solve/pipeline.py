@@ -96,7 +96,8 @@ def reconstruct(
 
     started = perf_counter()
     observation, model = observed.observation, setup.model
-    (observation,) = with_fitted_classes([observation], camera, setup, setup.ground)
+    if setup.fits_classes:
+        (observation,) = with_fitted_classes([observation], camera, setup, setup.ground)
     if observation.evidence:
         model = setup.model_of([observation])
         (observation,) = with_scales([observation], camera, setup)

@@ -5,7 +5,6 @@ import json
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 pytest.importorskip("rosbags")
 pytest.importorskip("torch")
@@ -18,20 +17,16 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 from scipy.spatial.transform import Rotation
 
-from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export import ImageInfo, read_video_frames
 from fgrecon.io.export.image_info import box_in
 from fgrecon.io.export.mcap import pose_covariance
 from fgrecon.simulation.vehicles import KITTI_CAMERA
+from tests.command_line import run
 from tests.io import bags
 
 INFO = ImageInfo()
 OURS = "/fgrecon/detections", "/fgrecon/markers", "/fgrecon/scene"
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
 
 
 def messages(folder, frame="camera_optical"):

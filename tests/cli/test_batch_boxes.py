@@ -7,18 +7,13 @@ import shutil
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
 
 from fgrecon.batch import Reconstructor
-from fgrecon.cli import main
+from tests.command_line import run
 
 SIZE = np.array([1242, 375, 1242, 375])
 BOXES = np.array([[500.0, 150, 700, 260], [200.0, 160, 330, 240]])
 """Made up, in the sample's street: what is in them does not matter here."""
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")

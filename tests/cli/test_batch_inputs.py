@@ -7,21 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from tests.cars import CAMERA
 from tests.cli.conftest import INTRINSICS, car
+from tests.command_line import run
 from tests.io.formats import CATEGORY, in_scheme, pascal_file
 from tests.solve.test_box_check import scaled
 from tests.solve.test_scene import street
 
 POINTS = np.array(car()["keypoints"])
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [*map(str, arguments)])
 
 
 def batch(file, out, *options):

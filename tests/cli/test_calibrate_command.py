@@ -5,19 +5,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_calibration, load_prior
 from research.tests.annotation.streets import Car, write_drive
 from tests.calibration.test_detector_fit import boxes
+from tests.command_line import run
 
 pytest.importorskip("torch")
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
 
 
 @pytest.mark.data

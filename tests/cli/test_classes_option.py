@@ -4,21 +4,16 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import fgrecon
 from fgrecon import VehicleClass
-from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxOptions
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.kitti_calibration import read_calibration
+from tests.command_line import run
 
 pytest.importorskip("torch")
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [*map(str, arguments)])
 
 
 def poses(file):

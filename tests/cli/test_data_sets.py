@@ -8,22 +8,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from pyarrow import feather
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.box_lines import read_box_lines
 from fgrecon.simulation.sample import LABEL_OFFSET
 from fgrecon.simulation.vehicles import KITTI_CAMERA
+from tests.command_line import run
 
 pytest.importorskip("torch")
 
 AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 STAMPS = 315968867_000_000_000, 315968867_100_000_000
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
 
 
 def write(path, columns):

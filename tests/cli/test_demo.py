@@ -4,9 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.cli.demo import DEMO_SEED
 from fgrecon.cli.demo_report import solved_street
 from fgrecon.core.reconstruction import Reconstruction, Status
@@ -15,10 +13,7 @@ from fgrecon.io.images import read_image
 from fgrecon.simulation.sample import sample_street
 from fgrecon.viz.describe import bounds_of
 from fgrecon.viz.replay import read as replay
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [*map(str, arguments)])
+from tests.command_line import run
 
 
 @pytest.fixture(scope="module")

@@ -5,14 +5,13 @@ import json
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from fgrecon.batch import read_folder
-from fgrecon.cli import main
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export import read_results
 from fgrecon.io.images import write_png
+from tests.command_line import run
 from tests.io.formats import CATEGORY, flat, in_scheme, our_record, told_by
 from tests.io.test_cameras import nuscenes, ros, waymo
 
@@ -20,10 +19,6 @@ from .conftest import INTRINSICS, K, car
 
 POINTS = np.array(car()["keypoints"])
 LENS = [-0.3, 0.1, 0.001, -0.001, 0.0]
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [*map(str, arguments)])
 
 
 def solved(*arguments):

@@ -6,22 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior, save_prior
 from fgrecon.io.images import write_png
 from fgrecon.viz import replay
+from tests.command_line import run
 
 pytest.importorskip("torch")
 
 CALIB = "P2: 700 0 80 40 0 700 50 0.2 0 0 1 0.002\n"
 LABEL = "0.00 0 1.5 20.0 20.0 110.0 80.0 1.5 1.6 4.0 0.1 1.6 15 1.5"
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
 
 
 @pytest.fixture

@@ -5,19 +5,14 @@ import json
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.input_warnings import InputWarning, InputWarnings
 from fgrecon.io.catalogue import load_category
+from tests.command_line import run
 
 CATEGORY = load_category("car14")
 K = [[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]]
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")

@@ -7,19 +7,14 @@ import json
 import numpy as np
 import pytest
 import trimesh
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.viz import entities, replay
 from tests.cli.conftest import INTRINSICS, car
+from tests.command_line import run
 from tests.docs.test_schemas import check
 from tests.viz.test_recording import chunks
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")

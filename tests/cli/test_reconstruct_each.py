@@ -6,17 +6,12 @@ import shutil
 import numpy as np
 import pytest
 import trimesh
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
+from tests.command_line import run
 
 pytest.importorskip("torch")
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")

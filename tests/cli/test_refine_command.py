@@ -5,22 +5,17 @@ import shutil
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.box_lines import read_box_lines
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.sample import LABEL_OFFSET, sample_street
+from tests.command_line import run
 
 pytest.importorskip("torch")
 
 CARE = "DontCare -1 -1 -10 503.89 169.71 590.61 190.13 -1 -1 -1 -1000 -1000 -1000 -10"
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")

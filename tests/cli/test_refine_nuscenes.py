@@ -6,9 +6,7 @@ import shutil
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.box_lines import read_box_lines
@@ -16,6 +14,7 @@ from fgrecon.io.nuscenes import open_nuscenes
 from fgrecon.io.nuscenes_detections import read_submission
 from fgrecon.simulation.sample import LABEL_OFFSET
 from fgrecon.simulation.vehicles import KITTI_CAMERA
+from tests.command_line import run
 
 pytest.importorskip("torch")
 
@@ -23,10 +22,6 @@ AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """From a camera's axes right, down, forward to a vehicle's forward, left, up."""
 EGO = Rotation.from_euler("z", 0.7), np.array([411.3, 1180.8, 0.0])
 MOUNT = np.array([1.7, 0.02, 1.65])
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
 
 
 def wxyz(rotation):

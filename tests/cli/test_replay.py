@@ -6,19 +6,14 @@ import urllib.request
 from urllib.parse import quote
 
 import pytest
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.cli import replay as command
 from fgrecon.viz import SolvedVehicle, recording_of, replay, scene_recording_of
 from fgrecon.viz.sinks import LOOPBACK, check_viewer, free_port, viewer_command
 from tests.cli.conftest import INTRINSICS
+from tests.command_line import run
 from tests.viz.made_up import STAGES, make_example
 from tests.viz.viewers import listening, wait_for
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [*map(str, arguments)])
 
 
 @pytest.fixture(scope="module")

@@ -4,16 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from fgrecon.cli.main import app
 from fgrecon.core.size_prior import size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.sample import sample_street
-
-
-def run(*arguments):
-    return CliRunner().invoke(app, [*map(str, arguments)])
+from tests.command_line import run
 
 
 @pytest.fixture(scope="module")

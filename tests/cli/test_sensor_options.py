@@ -4,16 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
+from tests.command_line import run
 
 pytest.importorskip("torch")
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [*map(str, arguments)])
 
 
 @pytest.fixture(scope="module")

@@ -4,17 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from fgrecon.cli import main
 from fgrecon.io.export import read_results
 from fgrecon.io.images import read_image, write_png
 from fgrecon.viz import replay
 from tests.cli.conftest import INTRINSICS, K, car
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [*map(str, arguments)])
+from tests.command_line import run
 
 
 @pytest.fixture

@@ -4,19 +4,14 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from fgrecon.calibration.matching import box_overlap
-from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import write_png
 from fgrecon.simulation.demo import demo_scene
-
-
-def run(*arguments):
-    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
+from tests.command_line import run
 
 
 @pytest.fixture(scope="module")

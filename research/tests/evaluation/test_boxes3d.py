@@ -5,20 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from fgrecon.calibration.labelled_boxes import wanted
-from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_drives import read_drive, read_images
 from fgrecon.io.kitti_files import format_results
 from fgrecon_research.evaluation.boxes3d import read_boxes, read_boxes_of_drives, score, score_drives
 from fgrecon_research.evaluation.boxes_summary import document, precisions, precisions_of_drives, summarise
 from fgrecon_research.io.kitti_sets import parse_objects, write_results
-
-
-def run(*arguments):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+from tests.command_line import run
 
 
 @pytest.fixture
