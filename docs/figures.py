@@ -9,11 +9,13 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import gtsam
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import fgrecon
+from factors import X, guarded_factor
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.simulation import KITTI_CAMERA, Vehicle, simulate, simulate_track, yaw_pose
 from fgrecon.simulation.sample import sample_scan, sample_street
@@ -75,8 +77,9 @@ def camera_view(axes: Any, observation: fgrecon.Observation, poses: Mapping[str,
             axes.plot(*pixels[[first, second]].T, color=colour, linewidth=1.2)
     measured = observation.keypoints[observation.measured]
     axes.scatter(*measured.T, s=10, color=INK, zorder=3)
-    low, high = measured.min(axis=0), measured.max(axis=0)
-    margin = 0.35 * max(high - low)
+    drawn = np.concatenate([measured, *(pixels[np.isfinite(pixels).all(axis=1)] for _, pixels in poses.values())])
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
+    margin = 0.1 * max(high - low)
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(high[1] + margin, low[1] - margin)
     axes.set_aspect("equal")
@@ -221,13 +224,13 @@ def to_plot(points: Array) -> Array:
 def evidence() -> Figure:
     """One car, from more and more evidence: the 95 % region of its position."""
     street = sample_street(fgrecon.load_prior("car14"))
-    car = street.cars[1]
+    car = street.cars[0]
     scan = [fgrecon.Points(sample_scan(street), sigma=0.02)]
     asked: dict[str, dict[str, Any]] = {
         "keypoints and box": {},
-        "+ fleet's size": {"size_prior": "apollo79"},
-        "+ ground": {"size_prior": "apollo79", "ground": 1.65},
-        "+ LiDAR": {"size_prior": "apollo79", "ground": 1.65, "evidence": scan},
+        "+ fleet's size": {"size_prior": "kitti"},
+        "+ ground": {"size_prior": "kitti", "ground": 1.65},
+        "+ LiDAR": {"size_prior": "kitti", "ground": 1.65, "evidence": scan},
     }
     figure = Figure(figsize=(7.4, 3.0))
     panels = figure.subplots(1, len(asked), sharex=True, sharey=True)
@@ -238,7 +241,9 @@ def evidence() -> Figure:
         truth = car.truth
         draw_car(axes, truth.camera_T_object, size_of(truth), TRUTH, "--")
         off = float(np.linalg.norm(result.location - truth.camera_T_object[:3, 3]))
-        above(axes, f"{name}\n{off:.2f} m off")
+        sigmas = result.position_sigmas
+        assert sigmas is not None
+        above(axes, f"{name}\n{off:.2f} m off, sigma {sigmas[2]:.2f} m")
     middle = car.truth.camera_T_object[[0, 2], 3]
     panels[0].set_xlim(middle[0] - 3.4, middle[0] + 3.4)
     panels[0].set_ylim(middle[1] - 5.5, middle[1] + 5.5)
@@ -269,11 +274,11 @@ def flip() -> Figure:
 
 
 def flipped_car() -> tuple[fgrecon.Observation, Any, Reconstruction]:
-    """The simulated car of six keypoints with the most probable alternative of the opposite facing."""
+    """The simulated car of four keypoints with the most probable alternative of the opposite facing."""
     best, most = None, 0.0
     for seed in range(40):
-        found = few_keypoints(seed, 1.57, (-2.0, 1.65, 17.0), 6)
-        if found is None or found[2].status == "degenerate" or not found[2].uncertainty.alternatives:
+        found = few_keypoints(seed, 1.57, (-2.0, 1.65, 17.0), 4)
+        if found is None or found[2].status != "ambiguous" or not found[2].uncertainty.alternatives:
             continue
         other = found[2].uncertainty.alternatives[0]
         if other.camera_T_object[:3, 0] @ found[2].camera_T_object[:3, 0] < -0.5 and other.probability > most:
@@ -283,7 +288,7 @@ def flipped_car() -> tuple[fgrecon.Observation, Any, Reconstruction]:
 
 
 def few_keypoints(
-    seed: int, yaw: float, place: Sequence[float], count: int
+    seed: int, yaw: float, place: Sequence[float], count: int, factors: Sequence[gtsam.NonlinearFactor] = ()
 ) -> tuple[fgrecon.Observation, Any, Reconstruction] | None:
     """A simulated car of which the first so many measured keypoints are given: observation, truth, result, if any."""
     whole, truth = a_car(seed, yaw, place)
@@ -291,18 +296,28 @@ def few_keypoints(
     keypoints[np.flatnonzero(whole.measured)[count:]] = np.nan
     given = fgrecon.Observation(keypoints, whole.confidence, whole.box)
     try:
-        return given, truth, fgrecon.reconstruct(given, KITTI_CAMERA, size_prior="kitti")
+        return given, truth, fgrecon.reconstruct(given, KITTI_CAMERA, size_prior="kitti", extra_factors=factors)
     except fgrecon.errors.FgreconError:
         return None
 
 
+def broken_factor() -> gtsam.NonlinearFactor:
+    """A factor of a user's sensor whose numbers are so large that the graph's energy is infinite."""
+
+    def callback(_values: gtsam.Values, _wanted: Any) -> tuple[Array, Array]:
+        return np.full(1, 1e150), np.eye(1, 6, 5)
+
+    return guarded_factor("broken", 1e-9, [X(0, 0)], [6], 1, callback)
+
+
 def status() -> Figure:
-    """One car for each status that comes with a pose: its wireframe on the keypoints, and from above."""
-    wanted = {"converged": 14, "weak": 8, "ambiguous": 6, "degenerate": 5}
-    figure = Figure(figsize=(7.4, 3.6))
+    """One car for each status: its wireframe on the keypoints, and from above."""
+    wanted = {"converged": 14, "weak": 8, "ambiguous": 6, "degenerate": 5, "failed": 14}
+    figure = Figure(figsize=(9.0, 3.6))
     panels = figure.subplots(2, len(wanted), height_ratios=(1, 1.2))
     for column, (name, count) in enumerate(wanted.items()):
-        found = (few_keypoints(seed, 0.4 + 0.7 * (seed % 3), (-2.0, 1.65, 15.0), count) for seed in range(300))
+        own = [broken_factor()] if name == "failed" else []
+        found = (few_keypoints(seed, 0.4 + 0.7 * (seed % 3), (-2.0, 1.65, 15.0), count, own) for seed in range(300))
         given, truth, result = next(one for one in found if one is not None and one[2].status == name)
         top, bottom = panels[:, column]
         camera_view(top, given, {BLUE: (np.array(result.shape.edges), result.pose.wireframe_uv)})

@@ -1,4 +1,4 @@
-"""Make the page of tuned numbers again, docs/reference/settings.md, from the settings classes of fgrecon.
+"""Make what docs/reference has from classes again: settings.md, fields/options.md and fields/result.md.
 
     python docs/settings.py
 
@@ -17,14 +17,17 @@ import re
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import fgrecon
+from fgrecon import BoxOptions, KeypointOptions, Options, Reconstruction, SearchOptions, ShapeOptions
 from fgrecon.core.text import markdown_row
 
-PAGE = Path(__file__).parent / "reference/settings.md"
-HEAD = """<!-- Made by `python docs/settings.py`. -->
-# Tuned numbers
+REFERENCE = Path(__file__).parent / "reference"
+MADE = "<!-- Made by `python docs/settings.py`. -->\n"
+GROUPS = {"": Options, "keypoints": KeypointOptions, "box": BoxOptions, "search": SearchOptions, "shape": ShapeOptions}
+"""Classes of options, by their attribute of `Options`."""
+HEAD = f"""{MADE}# Tuned numbers
 
 What every stage reads beside [options](options.md): numbers that were chosen once and hold for all callers. Each table
 is one frozen settings class; its default instance is in the same module. What a number was chosen on stands with it, or
@@ -137,10 +140,53 @@ def page() -> str:
         for name, text in descriptions(kind).items():
             value = getattr(settings, name)
             if not is_settings(value):
-                rows.append(markdown_row([f"`{name}`", _value(name, value), unit(name), text[:1].upper() + text[1:]]))
+                rows.append(markdown_row([f"`{name}`", _value(name, value), unit(name), capital(text)]))
         parts.append(f"## {kind.__name__}\n\n`{module}.{instance}`: {about}\n\n{''.join(rows)}")
     return "\n".join(parts)
 
 
+def capital(text: str) -> str:
+    """A text with a capital letter."""
+    return text[:1].upper() + text[1:]
+
+
+def options() -> str:
+    """Every option, its default, and what it is."""
+    rows = [markdown_row(["option", "default", "meaning"]), "|---|---|---|\n"]
+    for group, kind in GROUPS.items():
+        defaults = kind()
+        for name, text in descriptions(kind).items():
+            if text and name not in GROUPS:
+                rows.append(
+                    markdown_row([f"`{group}.{name}`".replace("`.", "`"), default(getattr(defaults, name)), text])
+                )
+    return f"{MADE}\n{''.join(rows)}"
+
+
+def default(value: Any) -> str:
+    """A default as it is written in Python."""
+    if isinstance(value, frozenset):
+        return ", ".join(f"`{name}`" for name in sorted(value))
+    return f"`{shown(getattr(value, 'name', value) if not isinstance(value, str) else str(value))}`"
+
+
+def result() -> str:
+    """Every field of a result, by its groups, properties after the fields."""
+    kinds = get_type_hints(Reconstruction)
+    rows = [markdown_row(["field", "content"]), "|---|---|\n"]
+    for group in ("", "pose", "shape", "uncertainty", "diagnostics"):
+        kind = kinds[group] if group else Reconstruction
+        found = {name: text for name, text in descriptions(kind).items() if name not in kinds or not group}
+        for name, value in vars(kind).items():
+            if isinstance(value, property):
+                found[name] = " ".join(inspect.cleandoc(value.__doc__ or "").split())
+        rows += [markdown_row([f"`{group}.{name}`".replace("`.", "`"), text]) for name, text in found.items()]
+    return f"{MADE}\n{''.join(rows)}"
+
+
+PAGES = {"settings.md": page, "fields/options.md": options, "fields/result.md": result}
+"""What makes each page of docs/reference."""
+
 if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")
+    for name, make in PAGES.items():
+        (REFERENCE / name).write_text(make(), encoding="utf-8")

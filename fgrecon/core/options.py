@@ -38,7 +38,7 @@ class KeypointOptions:
             the right way are this, and `facing_slope` times those of p. Both by maximum likelihood from 1,246 boxes of
             KITTI's video, each found by networks that had not learnt from its drive; fitted without a drive and tested
             on it: expected calibration error 0.005. `fgrecon calibrate` fits them to other detectors.
-        facing_slope: See there.
+        facing_slope: See `facing_bias`.
         fitted: Whether the last three were fitted to the keypoints' detector (`DetectorCalibration.applied` sets it);
             results say so (`Reconstruction.uncertainty.regions`).
     """
@@ -61,7 +61,7 @@ class BoxOptions:
     """What the 2D box says.
 
     Attributes:
-        model: What it encloses.
+        model: What the box encloses.
         sigma_relative: Standard deviation of an edge as a fraction of the longer side.
         sigma_pixels: The same in pixels, added in quadrature.
         left: By how much the left edge of a `detected` box is further right than the outline's, as a fraction of its

@@ -117,12 +117,13 @@ class Uncertainty:
     """How certain pose and shape are: the spread around them, and the other poses that remain.
 
     Attributes:
-        pose_covariance: (6, 6) covariance of the pose in GTSAM's order and frame (rotation, translation, in the
-            object's own frame), or None where it is not determined.
+        pose_covariance: (6, 6) covariance of the pose as GTSAM has it: rotation, then translation, radians and metres,
+            about the vehicle's own axes (forward, down, left), or None where it is not determined.
         size_covariance: (3, 3) covariance of the box's length, width and height, or None where it is not determined.
         coefficients_covariance: (N, N), or None.
         keypoint_covariance: (K, 3, 3) covariance of each 3D keypoint in the object frame, or None.
-        regions: What the covariances rest on.
+        regions: What the covariances rest on: `assumed`, 3.5 % of the box, as the keypoints had none; `shipped`, the
+            detector's, counted as those of the shipped networks; `fitted`, counted as `fgrecon calibrate` fitted them.
         facing_probability: How probably the vehicle faces where the pose says, within a quarter turn, by the detector's
             directions, calibrated on real cars; without them by the energies of the poses. NaN where neither is known.
         alternatives: Other poses that the search ended in, best first.
@@ -157,7 +158,7 @@ class Diagnostics(LazyFields):
         box_excess: By how much the 2D box is larger than the vehicle looks, as a fraction, negative where it is
             smaller; NaN where there is none, or it is not wholly in the image.
         milliseconds: Wall time by stage.
-        history: Every step, in order; made when it is first looked at, as is the graph.
+        history: Every step, in order.
         graph: The factors of the graph at the result; empty where no history is kept.
         graph_iterations: Iterations that the graph's solver took from the proposal that led to the result.
         graph_gain: Nats that they took off its energy; NaN where the strategy defines none.

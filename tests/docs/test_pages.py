@@ -1,11 +1,9 @@
 """What the documentation says about the code is so: commands, options, rooms, states, links and figures."""
 
 import ast
-import dataclasses
 import re
 import runpy
 import shlex
-from typing import get_type_hints
 
 import pytest
 import typer
@@ -72,26 +70,6 @@ def test_every_status_is_explained():
     table = text.partition("## Status\n\n")[2].partition("\n\n")[0]  # others of the section tell what makes it so
     status = [row[0].strip("`") for row in rows(table)[2:]]
     assert status == [str(status) for status in fgrecon.Status]
-
-
-def test_every_field_of_the_result_table_exists():
-    text = (REPOSITORY / "docs/reference/result.md").read_text(encoding="utf-8").partition("## Status")[0]
-    groups = get_type_hints(fgrecon.Reconstruction)
-    named, group = [], ""
-    for line in text.splitlines():
-        if line.startswith("|") and "`" in line:
-            first, fields = (re.findall(r"`(\w+)`", cell) for cell in line.split("|")[1:3])
-            group = first[0] if first else group
-            named += [(group, field) for field in fields]
-    every = {
-        (group, field.name)
-        for group in ("pose", "shape", "uncertainty", "diagnostics")
-        for field in dataclasses.fields(groups[group])
-    }
-    assert every <= set(named)
-    for group, field in named:
-        owner = groups[group] if group else fgrecon.Reconstruction
-        assert field in owner.__dataclass_fields__ or hasattr(owner, field), (group, field)
 
 
 @pytest.mark.parametrize("table", sorted(TABLES.glob("*.md")), ids=lambda path: path.stem)

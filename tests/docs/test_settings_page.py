@@ -1,11 +1,11 @@
-"""The page of tuned numbers is what its script makes of the settings classes."""
+"""The tables of tuned numbers, options and fields of results are what their script makes of the classes."""
 
 import runpy
 
 from tests.conftest import REPOSITORY
 
 
-def test_the_page_is_what_the_script_makes():
-    made = runpy.run_path(str(REPOSITORY / "docs/settings.py"))["page"]()
-    page = REPOSITORY / "docs/reference/settings.md"
-    assert page.read_text(encoding="utf-8") == made, "run `python docs/settings.py`"
+def test_the_pages_are_what_the_script_makes():
+    for name, make in runpy.run_path(str(REPOSITORY / "docs/settings.py"))["PAGES"].items():
+        page = REPOSITORY / "docs/reference" / name
+        assert page.read_text(encoding="utf-8") == make(), "run `python docs/settings.py`"
