@@ -12,6 +12,64 @@ from libc.string cimport memcpy, memset
 
 import numpy as np
 
+cdef extern from *:
+    """
+    #if defined(__GNUC__)
+    typedef double fgrecon_two __attribute__((vector_size(16), aligned(8), may_alias));
+    #define FGRECON_TWO(p) (*(const fgrecon_two *)(p))
+    #endif
+
+    /* a . b, in four sums that need not wait for one another. */
+    static double fgrecon_inner(const double *a, const double *b, Py_ssize_t n) {
+        double s = 0.0, t = 0.0, u = 0.0, v = 0.0;
+        Py_ssize_t i = 0;
+    #if defined(__GNUC__)
+        fgrecon_two st = {0.0, 0.0}, uv = {0.0, 0.0};
+        for (; i + 4 <= n; i += 4) {
+            st += FGRECON_TWO(a + i) * FGRECON_TWO(b + i);
+            uv += FGRECON_TWO(a + i + 2) * FGRECON_TWO(b + i + 2);
+        }
+        s = st[0], t = st[1], u = uv[0], v = uv[1];
+    #else
+        for (; i + 4 <= n; i += 4) {
+            s += a[i] * b[i], t += a[i + 1] * b[i + 1], u += a[i + 2] * b[i + 2], v += a[i + 3] * b[i + 3];
+        }
+    #endif
+        for (; i < n; i++) s += a[i] * b[i];
+        return (s + t) + (u + v);
+    }
+
+    /* a . c and b . c, each as fgrecon_inner has it. */
+    static void fgrecon_inner_of_two(
+        const double *a, const double *b, const double *c, Py_ssize_t n, double *found
+    ) {
+    #if defined(__GNUC__)
+        fgrecon_two st = {0.0, 0.0}, uv = {0.0, 0.0}, wx = {0.0, 0.0}, yz = {0.0, 0.0};
+        Py_ssize_t i = 0;
+        double s, w;
+        for (; i + 4 <= n; i += 4) {
+            const fgrecon_two first = FGRECON_TWO(c + i), second = FGRECON_TWO(c + i + 2);
+            st += FGRECON_TWO(a + i) * first;
+            uv += FGRECON_TWO(a + i + 2) * second;
+            wx += FGRECON_TWO(b + i) * first;
+            yz += FGRECON_TWO(b + i + 2) * second;
+        }
+        s = st[0], w = wx[0];
+        for (; i < n; i++) s += a[i] * c[i], w += b[i] * c[i];
+        found[0] = (s + st[1]) + (uv[0] + uv[1]);
+        found[1] = (w + wx[1]) + (yz[0] + yz[1]);
+    #else
+        found[0] = fgrecon_inner(a, c, n);
+        found[1] = fgrecon_inner(b, c, n);
+    #endif
+    }
+    """
+    double inner "fgrecon_inner"(const double *a, const double *b, Py_ssize_t n) nogil
+    void inner_of_two "fgrecon_inner_of_two"(
+        const double *a, const double *b, const double *c, Py_ssize_t n, double *found
+    ) nogil
+
+
 cdef double SINGULAR = 1e-15  # share of a number of the diagonal that rounding may leave of none
 
 
@@ -463,7 +521,7 @@ cdef class Rows:
     cdef int[::1] columns, sorted  # of all sources' Jacobians where in a step; a source's columns in that order
     cdef int[::1] heads  # (size + 1,) first column of each row of the form
     cdef Py_ssize_t[::1] lines  # (size + 2,) where column 0 of each row would be in `form` and `root`; their length
-    cdef double[::1] form, root
+    cdef double[::1] form, root, inverses  # of the factor's diagonal
     cdef double[::1] r, J, spare
     cdef int[::1] where
 
@@ -517,7 +575,7 @@ cdef class Rows:
         if constants:
             state[self.numbers:end] = np.concatenate(constants)
         self.state, self.r, self.J = state, np.empty(rows), np.empty(jacobian)
-        self.spare, self.where = np.empty(width + 1), np.empty(width + 1, dtype=np.intc)
+        self.spare, self.where = np.empty(2 * (width + 1)), np.empty(width + 1, dtype=np.intc)
         self.outline()
 
     cdef int outline(self) except -1:
@@ -550,6 +608,7 @@ cdef class Rows:
         for i in range(most + 1):
             self.lines[i] -= self.heads[i]
         self.form, self.root = np.empty(self.lines[most + 1]), np.empty(self.lines[most + 1])
+        self.inverses = np.empty(most + 1)
         return 0
 
     def point(self, list variables):
@@ -707,23 +766,59 @@ cdef class Rows:
         Z[self.lines[i] + i] = (1.0 + total) / (pivot * pivot)
 
     cdef bint factorised(self, double least) noexcept nogil:
-        """Cholesky's factor of the quadratic form; False where so small a share of a number of its diagonal is left."""
-        cdef int i, j, both, n = self.size
-        cdef double s
+        """Cholesky's factor of the quadratic form; False where so small a share of a number of its diagonal is left.
+
+        Two rows at a time, whose numbers need not wait for one another.
+        """
+        cdef int i, j, k, first, begin, n = self.size
+        cdef double both[2]
         cdef double *row
-        cdef double *other
-        for i in range(n + 1):
-            row = &self.root[0] + self.lines[i]
-            for j in range(self.heads[i], i):
-                other = &self.root[0] + self.lines[j]
-                both = max(self.heads[i], self.heads[j])
-                row[j] = (self.form[self.lines[i] + j] - inner(row + both, other + both, j - both)) / other[j]
-            if i < n:
-                s = self.form[self.lines[i] + i]
-                row[i] = s - inner(row + self.heads[i], row + self.heads[i], i - self.heads[i])
-                if not least * s < row[i] < INFINITY:
-                    return False
-                row[i] = sqrt(row[i])
+        cdef double *next_row
+        for i in range(0, n + 1, 2):
+            k = i + 1
+            if k > n:
+                return self.finished(i, self.heads[i], least)
+            row, next_row = &self.root[0] + self.lines[i], &self.root[0] + self.lines[k]
+            first = max(self.heads[i], self.heads[k])
+            for j in range(self.heads[i], min(first, i)):
+                self.eliminate(i, j)
+            for j in range(self.heads[k], min(first, i)):
+                self.eliminate(k, j)
+            for j in range(first, i):
+                begin = max(first, self.heads[j])
+                if self.heads[i] != self.heads[k] and self.heads[j] < first:  # the sums begin elsewhere
+                    self.eliminate(i, j)
+                    self.eliminate(k, j)
+                    continue
+                inner_of_two(row + begin, next_row + begin, &self.root[0] + self.lines[j] + begin, j - begin, both)
+                row[j] = (self.form[self.lines[i] + j] - both[0]) * self.inverses[j]
+                next_row[j] = (self.form[self.lines[k] + j] - both[1]) * self.inverses[j]
+            if not self.finished(i, i, least) or not self.finished(k, max(i, self.heads[k]), least):
+                return False
+        return True
+
+    cdef inline void eliminate(self, int i, int j) noexcept nogil:
+        """Number j of row i of the factor, after those before it."""
+        cdef int both = max(self.heads[i], self.heads[j])
+        cdef double *row = &self.root[0] + self.lines[i]
+        cdef double *other = &self.root[0] + self.lines[j]
+        row[j] = (self.form[self.lines[i] + j] - inner(row + both, other + both, j - both)) * self.inverses[j]
+
+    cdef bint finished(self, int i, int begin, double least) noexcept nogil:
+        """Row i of the factor from some number on, and its diagonal, which the last row has not."""
+        cdef int j
+        cdef double s
+        cdef double *row = &self.root[0] + self.lines[i]
+        for j in range(begin, i):
+            self.eliminate(i, j)
+        if i == self.size:
+            return True
+        s = self.form[self.lines[i] + i]
+        row[i] = s - inner(row + self.heads[i], row + self.heads[i], i - self.heads[i])
+        if not least * s < row[i] < INFINITY:
+            return False
+        row[i] = sqrt(row[i])
+        self.inverses[i] = 1.0 / row[i]
         return True
 
     def judge(self, const double[::1] point, looks):
@@ -781,26 +876,32 @@ cdef class Rows:
     cdef void add(
         self, const double *r, const double *J, int rows, int columns, const int *place, const int *order, double weight
     ) noexcept nogil:
-        """Add weighted rows to the quadratic form."""
+        """Add weighted rows to the quadratic form, two at a time: those of a keypoint are about the same variables."""
         cdef int i, j, k, count
-        cdef double value
+        cdef double value, other
         cdef double *values = &self.spare[0]
+        cdef double *others = values + columns + 1
         cdef double *line
+        cdef const double *row
+        cdef const double *next_row
         cdef int *where = &self.where[0]
-        for i in range(rows):
+        for i in range(0, rows, 2):
             count = 0
+            row = J + i * columns
+            next_row = row + columns if i + 1 < rows else NULL
             for j in range(columns):
                 k = order[j]
-                if J[i * columns + k] != 0.0 and place[k] >= 0:
-                    values[count], where[count] = J[i * columns + k], place[k]
+                value, other = row[k], (next_row[k] if next_row != NULL else 0.0)
+                if place[k] >= 0 and (value != 0.0 or other != 0.0):
+                    values[count], others[count], where[count] = value, other, place[k]
                     count += 1
-            values[count], where[count] = -r[i], self.size
+            values[count], others[count], where[count] = -r[i], (-r[i + 1] if next_row != NULL else 0.0), self.size
             count += 1
             for j in range(count):
-                value = weight * values[j]
+                value, other = weight * values[j], weight * others[j]
                 line = &self.form[0] + self.lines[where[j]]
                 for k in range(j + 1):
-                    line[where[k]] += value * values[k]
+                    line[where[k]] = line[where[k]] + value * values[k] + other * others[k]
 
 
 cdef class Inverse:
@@ -831,22 +932,6 @@ cdef class Inverse:
                     raise KeyError(f"numbers {low} and {high} of a step")
                 block[i, j] = block[j, i] = self.numbers[self.rows.lines[high] + low]
         return found
-
-
-cdef inline double inner(const double *a, const double *b, int n) noexcept nogil:
-    """a . b, in four sums that need not wait for one another."""
-    cdef double s = 0.0, t = 0.0, u = 0.0, v = 0.0
-    cdef int i = 0
-    while i + 4 <= n:
-        s += a[i] * b[i]
-        t += a[i + 1] * b[i + 1]
-        u += a[i + 2] * b[i + 2]
-        v += a[i + 3] * b[i + 3]
-        i += 4
-    while i < n:
-        s += a[i] * b[i]
-        i += 1
-    return (s + t) + (u + v)
 
 
 cdef void move_pose(const double *X, const double *xi, double *moved) noexcept nogil:
