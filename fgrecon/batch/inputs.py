@@ -250,11 +250,7 @@ def _frame_rows(source: InputFile) -> Iterator[Row]:
 
 
 def _kitti_camera(source: InputFile) -> str | None:
-    """The camera that KITTI's layouts have for an image, or its file in the folder of calibrations, as JSON.
-
-    Raises:
-        InvalidInputError: There is a folder of calibrations, but none of the image.
-    """
+    """The camera that KITTI's layouts have for an image, or its file in the folder of calibrations, as JSON."""
     if source.calib is not None:
         return _as_json(read_calibration(source.calib / f"{source.path.stem}.txt").camera)
     found = calibration_beside(source.path)

@@ -144,11 +144,7 @@ class Parts:
 
 
 def _outcomes(path: Path) -> list[tuple[str, RowOutcome]]:
-    """Ids and outcomes of the rows of a part, all of which is read: damage may lie anywhere.
-
-    Raises:
-        InvalidInputError: It is damaged, or none of ours.
-    """
+    """Ids and outcomes of the rows of a part, all of which is read: damage may lie anywhere."""
     found: list[tuple[str, RowOutcome]] = []
     for batch in _batches(path):
         names = batch.column("row_id").to_pylist()
@@ -163,11 +159,7 @@ def _rows(path: Path) -> list[dict[str, Any]]:
 
 
 def _batches(path: Path) -> Iterator[Any]:
-    """The rows of a part, some at a time.
-
-    Raises:
-        InvalidInputError: It is damaged, or none of ours; perhaps after rows that are good.
-    """
+    """The rows of a part, some at a time."""
     try:
         with pa.OSFile(os.fsencode(path)) as file, pq.ParquetFile(file, page_checksum_verification=True) as part:
             left = part.metadata.num_rows

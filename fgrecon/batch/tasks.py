@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 from typing import Any
@@ -16,6 +15,7 @@ import pyarrow as pa
 
 from fgrecon.batch.schema import task_schema
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.arrow import without_pandas
 
 Tasks = Sequence[Mapping[str, Any]]
 """Rows of `task_schema`: whoever hands them out makes no table of them, and needs no memory for that."""
@@ -34,31 +34,9 @@ class TaskSolver:
     def __call__(self, tasks: Tasks) -> Any:
         """A table of their results."""
         if not self._begun:
-            _leave_pandas()
+            without_pandas()
             self._begun = True
         return self._function(pa.Table.from_pylist(list(tasks), schema=task_schema()))
-
-
-def _leave_pandas() -> None:
-    """Let pyarrow do without pandas, which it imports for its first array: 40 MB that no worker has a use for.
-
-    pyarrow looks once; where it does not find it, it leaves it alone until somebody asks for a data frame.
-    """
-    if "pandas" not in sys.modules:
-        finder = _NoPandas()
-        sys.meta_path.insert(0, finder)
-        try:
-            pa.array([])
-        finally:
-            sys.meta_path.remove(finder)
-
-
-class _NoPandas:
-    """Finds every module but pandas; a None in `sys.modules` pyarrow would take for the module."""
-
-    def find_spec(self, name: str, *_: object) -> None:
-        if name == "pandas":
-            raise ModuleNotFoundError(name, name=name)
 
 
 def instance_text(row: Mapping[str, Any]) -> str:

@@ -9,12 +9,13 @@ from __future__ import annotations
 import ast
 import inspect
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import MISSING, fields, is_dataclass
 from functools import wraps
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar, cast, get_type_hints
+from typing import Annotated, Any, ClassVar, cast, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -172,11 +173,15 @@ def _made(group: type[Any], values: dict[str, Any]) -> Any:
 
 
 def _options(group: type[Any]) -> list[inspect.Parameter]:
-    """The options of a group, in the order of its fields."""
-    hints = get_type_hints(group, include_extras=True)
+    """The options of a group, in the order of its fields; under the heading `panel` where it has one."""
+    hints, panel = get_type_hints(group, include_extras=True), getattr(group, "panel", None)
     options: list[inspect.Parameter] = []
     for field in fields(group):
         kind = hints[field.name]
+        if panel is not None and not _is_group(kind):
+            (option,) = map(copy, kind.__metadata__)
+            option.rich_help_panel = panel
+            kind = Annotated[kind.__origin__, option]
         default = inspect.Parameter.empty if field.default is MISSING else field.default
         own = inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
         options += _options(kind) if _is_group(kind) else [own]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
@@ -401,28 +401,17 @@ class VehicleBoxes:
                 raise InvalidInputError(field, f"{value} for {file.name}", fix)
 
 
-_ERRORS_PANEL = "Errors of the boxes (1 sigma)"
-
-
 @dataclass(frozen=True)
 class BoxErrorOptions:
     """How far 3D boxes are off; the defaults are a monocular detector's."""
 
-    depth_error: Annotated[
-        float, typer.Option(help="Of the distance, as a share of it.", rich_help_panel=_ERRORS_PANEL)
-    ] = 0.06
-    bearing_error: Annotated[
-        float, typer.Option(help="Of a box's place in the image, pixels.", rich_help_panel=_ERRORS_PANEL)
-    ] = 2.0
-    yaw_error: Annotated[
-        float, typer.Option(help="Of the yaw of a box without a heading flip, degrees.", rich_help_panel=_ERRORS_PANEL)
-    ] = 10.0
-    size_error: Annotated[
-        float, typer.Option(help="Of length, width and height, as a share.", rich_help_panel=_ERRORS_PANEL)
-    ] = 0.05
-    flipped_share: Annotated[
-        float, typer.Option(help="Share of boxes with a heading flip.", rich_help_panel=_ERRORS_PANEL)
-    ] = 0.05
+    panel: ClassVar = "Errors of the boxes (1 sigma)"
+
+    depth_error: Annotated[float, typer.Option(help="Of the distance, as a share of it.")] = 0.06
+    bearing_error: Annotated[float, typer.Option(help="Of a box's place in the image, pixels.")] = 2.0
+    yaw_error: Annotated[float, typer.Option(help="Of the yaw of a box without a heading flip, degrees.")] = 10.0
+    size_error: Annotated[float, typer.Option(help="Of length, width and height, as a share.")] = 0.05
+    flipped_share: Annotated[float, typer.Option(help="Share of boxes with a heading flip.")] = 0.05
 
     def errors(self) -> BoxErrors:
         """They, as the solver takes them.
@@ -509,24 +498,16 @@ class DriveOptions:
             return score_drives(self.request(folders, labelled), advance, read=read or open_drive, rivals=rivals)
 
 
-_RECORDING = "Recording"
-
-
 @dataclass(frozen=True)
 class Viewer:
     """The rerun viewer that a recording is sent to."""
 
+    panel: ClassVar = "Recording"
+
     connect: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HOST:PORT",
-            help="Send the recording to a rerun viewer that listens there.",
-            rich_help_panel=_RECORDING,
-        ),
+        str | None, typer.Option(metavar="HOST:PORT", help="Send the recording to a rerun viewer that listens there.")
     ] = None
-    spawn: Annotated[
-        bool, typer.Option("--spawn", help="Show the recording in a new rerun viewer.", rich_help_panel=_RECORDING)
-    ] = False
+    spawn: Annotated[bool, typer.Option("--spawn", help="Show the recording in a new rerun viewer.")] = False
 
     @property
     def requested(self) -> bool:
@@ -540,11 +521,7 @@ class Delivery(Viewer):
 
     save: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.rrd",
-            help="Record for the rerun viewer; several recordings: FILE-NAME.rrd each.",
-            rich_help_panel=_RECORDING,
-        ),
+        typer.Option(metavar="FILE.rrd", help="Record for the rerun viewer; several recordings: FILE-NAME.rrd each."),
     ] = None
 
     @property

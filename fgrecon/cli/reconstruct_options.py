@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
@@ -85,19 +85,17 @@ class Drawings:
         return self.picture is not None or self.animation is not None
 
 
-_MODELS = "Car models"
-
-
 @dataclass(frozen=True)
 class CarModels:
     """The models that vehicles are compared with."""
+
+    panel: ClassVar = "Car models"
 
     models: Annotated[
         Path | None,
         typer.Option(
             metavar="FOLDER|FILE",
             help="Find the closest of these car models (obj, ply, glb, npz), in metres; it is drawn as well.",
-            rich_help_panel=_MODELS,
         ),
     ] = None
     models_axes: Annotated[
@@ -106,7 +104,6 @@ class CarModels:
             metavar="FORWARD,UP",
             help="What points forward and up in meshes, such as x,z.",
             show_default="x,-y; z,y in glb",
-            rich_help_panel=_MODELS,
         ),
     ] = None
 

@@ -159,12 +159,7 @@ def reconstruct_each(files: Sequence[Path], request: ReconstructRequest, screen:
 
 
 def _targets(files: Sequence[Path], request: ReconstructRequest) -> dict[Path, Path]:
-    """The photographs, and for each the file of its results without ending.
-
-    Raises:
-        InvalidInputError: One is no image, a folder has none, nothing says where the results go, or one would be
-            written over an image or its boxes.
-    """
+    """The photographs, and for each the file of its results without ending."""
     out, pictures = request.results.out, request.results.pictures
     if out is None:
         value = f"{len(files)} files" if len(files) > 1 else str(files[0])
@@ -263,11 +258,7 @@ class _Work:
             yield SolvedFile(photograph, settings, with_closest(outcomes, self.what.models), [image])
 
     def deliver(self, solved: SolvedFile) -> None:
-        """Show a photograph's results, and write them to its file.
-
-        Raises:
-            InvalidInputError: The file cannot be written.
-        """
+        """Show a photograph's results, and write them to its file."""
         path, screen, results, outcomes = solved.read.path, self.screen, self.request.results, solved.outcomes
         screen.print(f"{path}:")
         report.print_table(screen, outcomes)

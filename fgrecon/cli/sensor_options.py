@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.io.cameras.camera_source import CameraSource
     from fgrecon.perception.sensor_source import SensorSource
 
-_SENSORS = "Other sensors"
 _FILES = "FILE|FOLDER|PATTERN"
 
 
@@ -27,13 +26,14 @@ _FILES = "FILE|FOLDER|PATTERN"
 class SensorOptions:
     """What other sensors measured: files of their own for each image, named as it."""
 
+    panel: ClassVar = "Other sensors"
+
     lidar: Annotated[
         str | None,
         typer.Option(
             metavar=_FILES,
             help="Points of a LiDAR: KITTI's or nuScenes' bin, npz, npy, pcd, ply, las; named as the images. Of a bag "
             "its topic.",
-            rich_help_panel=_SENSORS,
         ),
     ] = None
     lidar_pose: Annotated[
@@ -42,7 +42,6 @@ class SensorOptions:
             metavar="FILE",
             help="From the points' frame to the camera's: 12 numbers [R | t], or JSON with a matrix.",
             show_default="by KITTI's calibration, nuScenes' tables or the bag's TF",
-            rich_help_panel=_SENSORS,
         ),
     ] = None
     lidar_sigma: Annotated[
@@ -51,40 +50,27 @@ class SensorOptions:
             metavar="DEGREES,METRES",
             help="How unsure that is: the cars of an image then tell how the LiDAR is turned and shifted (1 sigma).",
             show_default="exact",
-            rich_help_panel=_SENSORS,
         ),
     ] = None
     depth: Annotated[
         str | None,
         typer.Option(
-            metavar=_FILES,
-            help="Depth maps as large as the images: KITTI's png of 16 bits, npy, npz, tiff, exr, pfm.",
-            rich_help_panel=_SENSORS,
+            metavar=_FILES, help="Depth maps as large as the images: KITTI's png of 16 bits, npy, npz, tiff, exr, pfm."
         ),
     ] = None
     depth_scale: Annotated[
-        DepthScale,
-        typer.Option(help="What a depth network's numbers are: metres, or to be scaled.", rich_help_panel=_SENSORS),
+        DepthScale, typer.Option(help="What a depth network's numbers are: metres, or to be scaled.")
     ] = DepthScale.METRIC
-    depth_inverse: Annotated[
-        bool,
-        typer.Option("--depth-inverse", help="They are inverse depths, as disparities.", rich_help_panel=_SENSORS),
-    ] = False
+    depth_inverse: Annotated[bool, typer.Option("--depth-inverse", help="They are inverse depths, as disparities.")] = (
+        False
+    )
     right: Annotated[
         str | None,
-        typer.Option(
-            metavar=_FILES,
-            help="Right images of rectified pairs; KITTI's calibration has both cameras.",
-            rich_help_panel=_SENSORS,
-        ),
+        typer.Option(metavar=_FILES, help="Right images of rectified pairs; KITTI's calibration has both cameras."),
     ] = None
     masks: Annotated[
         str | None,
-        typer.Option(
-            metavar=_FILES,
-            help="Masks of the vehicles: PNG of ids, named as the images, or COCO JSON.",
-            rich_help_panel=_SENSORS,
-        ),
+        typer.Option(metavar=_FILES, help="Masks of the vehicles: PNG of ids, named as the images, or COCO JSON."),
     ] = None
 
     def source(self, camera: CameraSource) -> SensorSource | None:
@@ -100,11 +86,7 @@ class SensorOptions:
         return made if made.given else None
 
     def _place_sigma(self) -> tuple[float, float]:
-        """In radians and metres; 0 where it is exact.
-
-        Raises:
-            InvalidInputError: It is no two numbers.
-        """
+        """In radians and metres; 0 where it is exact."""
         if self.lidar_sigma is None:
             return (0.0, 0.0)
         numbers = parse_numbers("lidar_sigma", self.lidar_sigma, "degrees,metres: two numbers", (2,))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, TypeVar
 
 import typer
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from rich.text import Text
 
 _WIDTH = 180
-_PANEL = "Terminal"
 
 Thing = TypeVar("Thing")
 
@@ -132,9 +131,9 @@ class Screen:
 class Quiet:
     """How much a short command says."""
 
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.", rich_help_panel=_PANEL)] = (
-        False
-    )
+    panel: ClassVar = "Terminal"
+
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False
 
     def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:
         """Where the command says it; see `Screen`."""
@@ -145,7 +144,7 @@ class Quiet:
 class Verbosity(Quiet):
     """How much a command says that can say more."""
 
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.", rich_help_panel=_PANEL)] = False
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")] = False
 
     def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:
         """Where the command says it; see `Screen`."""
@@ -157,10 +156,7 @@ class Terminal(Verbosity):
     """How much a command says whose work may take long."""
 
     progress: Annotated[
-        bool | None,
-        typer.Option(
-            "--progress/--no-progress", help="Show progress.", show_default="on a terminal", rich_help_panel=_PANEL
-        ),
+        bool | None, typer.Option("--progress/--no-progress", help="Show progress.", show_default="on a terminal")
     ] = None
 
     def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:

@@ -303,11 +303,7 @@ def lens_of(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _coefficients(given: ArrayLike | None, model: str) -> NDArray[np.float64] | None:
-    """A lens's coefficients; None for a pinhole.
-
-    Raises:
-        InvalidInputError: There is no such model, or it has another number of coefficients.
-    """
+    """A lens's coefficients; None for a pinhole."""
     if model not in lens.COUNTS:
         raise InvalidInputError("distortion_model", model, f"Give one of: {', '.join(lens.COUNTS)}.")
     if given is None and model == lens.OPENCV:

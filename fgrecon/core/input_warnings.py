@@ -274,11 +274,7 @@ def _median(numbers: _Array) -> _Array:
 
 
 def _check_rays(points: _Array, camera: Camera) -> None:
-    """Refuse intrinsics of another unit: by them most points (N, 2) are where no pinhole sees.
-
-    Raises:
-        InvalidInputError: They are.
-    """
+    """Refuse intrinsics of another unit: by them most points (N, 2) are where no pinhole sees."""
     if not len(points):
         return
     aside = float(_median(np.abs((points - camera.matrix[:2, 2]) / camera.matrix.diagonal()[:2]).max(axis=1)))

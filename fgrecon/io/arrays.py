@@ -113,11 +113,7 @@ def read_lone_array(content: bytes, name: str, fix: str) -> NDArray[Any]:
 
 
 def _header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
-    """Shape, order, kind and number of the elements of a member of so many bytes.
-
-    Raises:
-        ValueError: The header claims another size.
-    """
+    """Shape, order, kind and number of the elements of a member of so many bytes."""
     version = np.lib.format.read_magic(file)
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, fortran, kind = header(file)
@@ -132,11 +128,7 @@ def _header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], bool, np.dtype
 
 
 def _content(file: IO[bytes], kind: np.dtype[Any], count: int) -> NDArray[Any]:
-    """The elements that follow a header, read to where they stay.
-
-    Raises:
-        ValueError: There are fewer.
-    """
+    """The elements that follow a header, read to where they stay."""
     if not kind.itemsize:
         return np.zeros(count, kind)
     data = bytearray(count * kind.itemsize)

@@ -157,12 +157,7 @@ def _types(reader: Any, path: Path) -> Any:
 
 @contextmanager
 def _reader(path: Path) -> Iterator[Any]:
-    """The reader of a bag.
-
-    Raises:
-        InvalidInputError: It cannot be read.
-        MissingPackageError: rosbags is not installed.
-    """
+    """The reader of a bag."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore

@@ -77,12 +77,7 @@ def read_csv_boxes(file: Path) -> list[CsvBox]:
 
 
 def _box(cells: Mapping[str, str], names: Sequence[str]) -> CsvBox:
-    """A row by its cells.
-
-    Raises:
-        ValueError: A number is none.
-        KeyError: A cell is missing.
-    """
+    """A row by its cells."""
     numbers = np.array([float(cells[name]) for name in names])
     corners = numbers if names in _CORNERS else np.concatenate([numbers[:2], numbers[:2] + numbers[2:]])
     if not np.isfinite(numbers).all() or (corners[2:] <= corners[:2]).any():

@@ -176,11 +176,7 @@ def boxes_in(
 
 
 def _check_folder(folder: Path) -> None:
-    """Refuse a folder without boxes.
-
-    Raises:
-        InvalidInputError: It has no file of boxes.
-    """
+    """Refuse a folder without boxes."""
     if not any(path.suffix.lower() in ENDINGS and path.name != _CLASSES for path in folder.iterdir()):
         fix = f"Give the folder with a file ({', '.join(ENDINGS)}) for each image, of its name."
         raise InvalidInputError("boxes", f"{folder} without one", fix)
@@ -199,11 +195,7 @@ def names_images(file: Path) -> bool:
 
 
 def _changed(file: Path) -> int:
-    """When a file was changed; what was read of it before holds until then.
-
-    Raises:
-        InvalidInputError: There is no such file.
-    """
+    """When a file was changed; what was read of it before holds until then."""
     try:
         return file.stat().st_mtime_ns
     except OSError:
@@ -212,11 +204,7 @@ def _changed(file: Path) -> int:
 
 @lru_cache(maxsize=2)
 def _lines(file: Path, changed: int) -> tuple[tuple[int, _Box | _Relative | _Sized], ...]:  # noqa: ARG001
-    """The boxes of a file of lines or of a CSV, with their numbers; a changed file is read again.
-
-    Raises:
-        InvalidInputError: It cannot be read, or a line has no known format; names it.
-    """
+    """The boxes of a file of lines or of a CSV, with their numbers; a changed file is read again."""
     if file.suffix.lower() == ".csv":
         return tuple((number, _Sized.of(file, box)) for number, box in enumerate(read_csv_boxes(file)))
     rows: list[tuple[int, _Box | _Relative | _Sized]] = []
@@ -335,11 +323,7 @@ class _Relative:
 
 
 def _relative(words: list[str]) -> _Relative | None:
-    """A line of YOLO's, `class x y w h` and behind it a score, the whole number of a track, or both; None: it is none.
-
-    Raises:
-        ValueError: A number is out of range.
-    """
+    """A line of YOLO's, `class x y w h` and behind it a score, the whole number of a track, or both; else None."""
     more = len(words) - _YOLO_COLUMNS
     if not (words[0].isdecimal() and 0 <= more <= 2):
         return None
@@ -353,11 +337,7 @@ def _relative(words: list[str]) -> _Relative | None:
 
 
 def _of_line(words: list[str], line: str) -> _Box:
-    """The box of a line of KITTI's or of detections.
-
-    Raises:
-        ValueError: The line has no known format.
-    """
+    """The box of a line of KITTI's or of detections."""
     columns = len(words)
     image = track = None
     if columns in (LABEL_COLUMNS + 2, LABEL_COLUMNS + 3) and words[0].isdecimal() and _is_integer(words[1]):
@@ -381,11 +361,7 @@ def _is_integer(word: str) -> bool:
 
 
 def _yolo_class(file: Path, number: int) -> str:
-    """Name of a class of YOLO's: by `classes.txt` beside the file or `data.yaml` above it, else as COCO's have it.
-
-    Raises:
-        InvalidInputError: Neither has a car.
-    """
+    """Name of a class of YOLO's: by `classes.txt` beside the file or `data.yaml` above it, else as COCO's have it."""
     names = _class_names(file.parent)
     return (_YOLO_CLASSES if names is None else names).get(number, str(number))
 
@@ -520,11 +496,7 @@ def coco_entries(file: Path, image: Path) -> list[tuple[Fields, tuple[int, int] 
 
 
 def _of_image(pictures: Sequence[Mapping[str, Any]], image: Path, file: Path) -> list[Any]:
-    """Ids of the image of a name: of several, of the one whose folders are most like the given.
-
-    Raises:
-        InvalidInputError: There are several such.
-    """
+    """Ids of the image of a name: of several, of the one whose folders are most like the given."""
     named = [(Path(str(one["file_name"])), one["id"]) for one in pictures if "id" in one and one.get("file_name")]
     same = of_one_image((path.name for path, _ in named), image.name)
     alike = [(_alike(path.parent, image.parent), path, number) for path, number in named if path.name in same]

@@ -204,11 +204,7 @@ def _images(folder: Path) -> list[tuple[int, Path]]:
 
 
 def _optional(path: Path) -> dict[str, Any] | None:
-    """A JSON object, where the file exists.
-
-    Raises:
-        InvalidInputError: It is no object.
-    """
+    """A JSON object, where the file exists."""
     if not path.exists():
         return None
     content = read_json(path)

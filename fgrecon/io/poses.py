@@ -137,11 +137,7 @@ def _of_json(path: Path) -> CameraPoses:
 
 
 def _checked(pose: Array, place: str) -> Array:
-    """The pose, its rotation made an exact one.
-
-    Raises:
-        InvalidInputError: It is no rigid motion.
-    """
+    """The pose, its rotation made an exact one."""
     exact = as_rigid(place, pose, _RIGID).copy()
     left, _, right = np.linalg.svd(exact[:3, :3])
     exact[:3, :3] = left @ right

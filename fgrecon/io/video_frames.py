@@ -167,12 +167,7 @@ def _duration(container: Any) -> float | None:
 
 
 def _opened(path: Path) -> Any:
-    """PyAV's container of a file with pictures.
-
-    Raises:
-        InvalidInputError: It is none.
-        MissingPackageError: PyAV is not installed.
-    """
+    """PyAV's container of a file with pictures."""
     av = _av()
     try:
         container = av.open(str(path))

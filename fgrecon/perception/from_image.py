@@ -222,11 +222,7 @@ def reconstruct_image(
 
 
 def _with_classes(detections: list[Detection], classes: Sequence[VehicleClass | None] | None) -> list[Detection]:
-    """Detections that know which class of vehicle each is.
-
-    Raises:
-        InvalidInputError: There is another number of classes.
-    """
+    """Detections that know which class of vehicle each is."""
     if classes is None:
         return detections
     each = as_list("classes", classes, VehicleClass, gaps=True)

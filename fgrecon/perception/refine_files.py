@@ -161,11 +161,7 @@ class Refiner:
         return self.request.box_origin if of_lines else BoxOrigin.BOTTOM
 
     def _boxes(self, image: BoxedImage[Any]) -> tuple[Camera, NDArray[np.float64], list[tuple[Any, Box3D]]]:
-        """The camera of an image, where the labels' frame is from its own, and the boxes that are refined.
-
-        Raises:
-            FgreconError: There is no image, or its camera cannot be read.
-        """
+        """The camera of an image, where the labels' frame is from its own, and the boxes that are refined."""
         if image.image is None:
             raise InvalidInputError("images", f"none of {image.name}", "Give its image.")
         camera, offset = self._camera(image.image)

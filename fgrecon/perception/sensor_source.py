@@ -123,11 +123,7 @@ class SensorSource:
         return tuple(found)
 
     def _of_pair(self, path: Path, right: Path) -> DepthMap:
-        """The depth of an image that is the left one of a rectified pair.
-
-        Raises:
-            InvalidInputError: It is no file, or no calibration of KITTI's has both cameras.
-        """
+        """The depth of an image that is the left one of a rectified pair."""
         given = self.camera.calib
         if given is not None:
             file = given / f"{path.stem}.txt" if given.is_dir() else given

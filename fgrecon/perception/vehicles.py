@@ -258,11 +258,7 @@ def _network_of(model: bytes, runtime: str, device: str = "cpu") -> Network:
 
 
 def _try(model: bytes, runtime: str) -> None:
-    """Run a network once.
-
-    Raises:
-        InvalidInputError: It cannot be run.
-    """
+    """Run a network once."""
     import cv2
 
     try:

@@ -157,9 +157,6 @@ def _alone(
         camera: The camera.
         setup: What holds for all of them.
         steady: Where the solve ends, as `optimise` has it.
-
-    Raises:
-        DegenerateProblemError: No pose is found.
     """
     problem = Problem.of(coupled, camera, setup.model_of([detected]), setup.ground, setup.options)
     problem, start = estimate_pose(problem, detected)
@@ -168,11 +165,7 @@ def _alone(
 
 
 def _with_box(problem: Problem, box: KnownBox) -> IndependentVehicle:
-    """Solve a vehicle with its box; its keypoints are flipped where that is how they are taken.
-
-    Raises:
-        DegenerateProblemError: No pose is found.
-    """
+    """Solve a vehicle with its box; its keypoints are flipped where that is how they are taken."""
     factors = box.factors(problem.camera)
     start = search_pose(problem, box.box)
     adjusted = minimise_from_proposals([GraphObservation(problem)], [start], factors)

@@ -191,11 +191,7 @@ def observe(
 
 
 def _with_own_mask(observation: Observation, camera: Camera) -> Observation:
-    """The observation with its own mask, of those of the image, freed of lens distortion, and what may hide it.
-
-    Raises:
-        InvalidInputError: A mask is of an image of another size.
-    """
+    """The observation with its own mask, of those of the image, freed of lens distortion, and what may hide it."""
     masks = [one for one in observation.evidence if isinstance(one, Mask)]
     if not masks:
         return observation

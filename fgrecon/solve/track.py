@@ -137,12 +137,7 @@ def _with_evidence(
 def _posed(
     observations: Sequence[Observation | None], cameras: Sequence[Camera], setup: SolveSetup, doubts: InputWarnings
 ) -> tuple[list[GraphObservation], list[PoseEstimate], dict[int, str]]:
-    """The images that have a pose, their proposals, and why others have none; `doubts` has what is wrong with them.
-
-    Raises:
-        InvalidInputError: None has one, and what is given is to blame.
-        DegenerateProblemError: None has one.
-    """
+    """The images that have a pose, their proposals, and why others have none; `doubts` has what is wrong with them."""
     seen: list[GraphObservation] = []
     starts: list[PoseEstimate] = []
     refused: dict[int, str] = {}

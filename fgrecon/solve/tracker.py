@@ -225,11 +225,7 @@ class Tracker:
     def _cameras_at(
         self, time: float, camera: Camera, place: gtsam.Pose3 | None
     ) -> list[tuple[Camera, gtsam.Pose3 | None]]:
-        """The cameras of a frame's time, with their places.
-
-        Raises:
-            InvalidInputError: It is not later, nor of another camera at a known place.
-        """
+        """The cameras of a frame's time, with their places."""
         if time - self._time >= GROUND_FILTER.shortest_s:
             return [(camera, place)]
         others = all(

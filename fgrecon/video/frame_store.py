@@ -114,11 +114,7 @@ class FrameStore(Sequence[TrackedFrame]):
         return (self[i] for i in range(len(self)))
 
     def _write(self, value: Any) -> int:
-        """Where it is in the file.
-
-        Raises:
-            InvalidInputError: There is no room for it.
-        """
+        """Where it is in the file."""
         content = io.BytesIO()
         _Pickler(content, self._shared).dump(value)
         place = self._file.seek(0, io.SEEK_END)

@@ -168,11 +168,7 @@ def read_given(
 def _of_images(
     path: Path, source: FrameSource | None, left_out: Counter[str], *, all_classes: bool
 ) -> tuple[_Rows, bool]:
-    """The boxes of a folder with a file for each image, or of a CSV that names them; and whether they are of cuboids.
-
-    Raises:
-        InvalidInputError: There are no images, or a file cannot be used.
-    """
+    """The boxes of a folder with a file for each image, or of a CSV that names them; and whether of cuboids."""
     first = None if source is None else next((f.image for f in source.read() if f.image is not None), None)
     if source is None or first is None:
         raise InvalidInputError("tracks", str(path), "Give images or a video whose frames these boxes are of.")
@@ -193,11 +189,7 @@ def _of_images(
 
 
 def _images_of_frames(path: Path, source: FrameSource) -> dict[int, str]:
-    """What boxes call the image of each frame, without ending.
-
-    Raises:
-        InvalidInputError: Nothing tells which frame of a video a file is of.
-    """
+    """What boxes call the image of each frame, without ending."""
     if isinstance(source, ImageFrames) and not (source.numbered and path.is_dir()):
         named = zip(source.numbers, source.paths, strict=True)
         return {number: str(file.absolute().parent / file.stem) for number, file in named}
@@ -294,11 +286,7 @@ def _keypoints(
 def _numbers(
     instances: Sequence[Instance], path: Path, source: FrameSource | None
 ) -> tuple[list[int | None], _Times | None]:
-    """The number of each instance's frame, None where it is none of the source's; and times where names tell them.
-
-    Raises:
-        InvalidInputError: One names no frame, or some name numbers and others times.
-    """
+    """The number of each instance's frame, None where it is none of the source's; and times where names tell them."""
     images = {one.image for one in instances if one.frame is None and one.image is not None}
     numbers: Mapping[str, int | None] = {image: number_of(Path(image).stem) for image in images}
     times: _Times | None = None

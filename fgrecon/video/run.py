@@ -328,11 +328,7 @@ class _Records:
 
 
 def _check_still_there(stored: Sequence[FrameRecord], source: ImageFrames, out: Path) -> None:
-    """Refuse images that do not begin with those that were looked at.
-
-    Raises:
-        InvalidInputError: They do not; names the first that differs.
-    """
+    """Refuse images that do not begin with those that were looked at."""
     names = map(whole_text, source.names)  # as they are stored
     now = [f"frame {number} ({name})" for number, name in zip(source.numbers, names, strict=True)][: len(stored)]
     before = [f"frame {record.number} ({record.name})" for record in stored]

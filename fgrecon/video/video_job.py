@@ -202,11 +202,7 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
 
 
 def _check_classes(request: VideoRequest, source: FrameSource, given: Given | None) -> None:
-    """Refuse classes that nobody can say.
-
-    Raises:
-        InvalidInputError: They are labels' and there are none, or a network's that does not look.
-    """
+    """Refuse classes that nobody can say."""
     classes = request.settings.classes
     if classes is ClassSource.LABELS:
         every = () if given is None else given.vehicles.values()
@@ -218,11 +214,7 @@ def _check_classes(request: VideoRequest, source: FrameSource, given: Given | No
 
 
 def _open_drive(request: VideoRequest) -> Drive | BagDrive | None:
-    """The data set or bag that the source is; None of others.
-
-    Raises:
-        InvalidInputError: It is malformed, or a LiDAR's topic is given and no bag.
-    """
+    """The data set or bag that the source is; None of others."""
     lidar = request.sensors if isinstance(request.sensors, LidarTopic) else None
     if is_bag(request.source):
         choice = Choice(request.every, request.start, request.end)
@@ -472,11 +464,7 @@ def _threads_beside_solving() -> Iterator[None]:
 def _sense(
     request: VideoRequest, source: FrameSource, drive: Drive | BagDrive | None
 ) -> Callable[[FrameRecord], Sequence[Evidence]] | None:
-    """What other sensors say of a frame, by its record; None where there are none.
-
-    Raises:
-        InvalidInputError: None of the files is of an image, or the bag's LiDAR cannot be used.
-    """
+    """What other sensors say of a frame, by its record; None where there are none."""
     sensors = request.sensors
     if sensors is None:
         return None

@@ -87,11 +87,7 @@ def storage_camera(data: Mapping[str, Any], where: str, name: str | None = None)
 
 
 def _bounded(content: Any, most: int) -> Any:
-    """The content, if it holds at most so many values: a few lines of aliases of aliases stand for billions.
-
-    Raises:
-        ValueError: It holds more.
-    """
+    """The content, if it holds at most so many values: a few lines of aliases of aliases stand for billions."""
     left, waiting = most, [content]
     while waiting:
         left -= 1

@@ -162,9 +162,6 @@ def _moments(results: Sequence[NamedResult], images: Mapping[str, ImageInfo], be
         results: The vehicles.
         images: What is known of their images.
         below: Seconds from which on the file cannot tell the time.
-
-    Raises:
-        InvalidInputError: An image's time is negative or too late.
     """
     found = by_image(results)
     seen = {name for image in found for name in names_of(image)}

@@ -138,11 +138,7 @@ def cityscapes3d_text(results: Sequence[NamedResult], images: Mapping[str, Image
 def _of_samples(
     results: Sequence[NamedResult], images: Mapping[str, ImageInfo], *needed: str
 ) -> Iterator[tuple[NamedResult, ImageInfo]]:
-    """The vehicles of images that are of a sample, with what is known of their images.
-
-    Raises:
-        InvalidInputError: One of the needed fields is missing for an image; names it.
-    """
+    """The vehicles of images that are of a sample, with what is known of their images."""
     for image, items in by_image(results).items():
         info = info_of(image, images)
         if info.sample_token == "":

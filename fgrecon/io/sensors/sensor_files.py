@@ -21,11 +21,7 @@ class SensorFiles:
 
     @cached_property
     def _files(self) -> dict[str, Path]:
-        """The files of a folder or of a pattern by their names without ending.
-
-        Raises:
-            InvalidInputError: There is none, or two have one name.
-        """
+        """The files of a folder or of a pattern by their names without ending."""
         folder = Path(self.given)
         of_pattern = [] if folder.is_dir() else glob(self.given)  # noqa: PTH207 - the pattern may be absolute
         paths = folder.iterdir() if folder.is_dir() else map(Path, of_pattern)

@@ -88,11 +88,7 @@ class Problem:
 
 
 def _check_points(observation: Observation) -> None:
-    """Refuse observations that cannot determine a pose.
-
-    Raises:
-        DegenerateProblemError: Fewer than three points carry weight, or they lie on one line.
-    """
+    """Refuse observations that cannot determine a pose."""
     points = observation.keypoints[observation.measured & (observation.confidence > 0)]
     least = SETTINGS.least_keypoints
     if not observation.measured.any():
