@@ -673,6 +673,14 @@ cdef class Rows:
                 total += self.evaluated(place, False)
         return total
 
+    def error_of(self, const double[::1] point, list some):
+        """Energy of some sources, by their places, at a point, nats."""
+        cdef double total = 0.0
+        self.go(point)
+        for place in some:
+            total += self.evaluated(self.places[place], False)
+        return total
+
     def linearise(self, const double[::1] point, int graph):
         """Energy of a graph at a point, nats; its quadratic form there is what `step` and others are about from then on."""
         cdef _Place place

@@ -94,6 +94,8 @@ class CompiledSystem(_System):
         super().__init__(values)
         self._bound = _Bound(members, self.places)
         self._rows = self._bound.rows
+        self._held = members  # so that no other factor has the identity of one of them
+        self._place = {id(member.factor): place for place, member in enumerate(members)}
 
     def point(self, values: gtsam.Values) -> Array:
         """The point at values."""
@@ -149,6 +151,10 @@ class CompiledSystem(_System):
     def error(self, point: Array) -> float:
         """Energy of all factors of the first graph at a point, nats."""
         return float(self._rows.error(point, _FIRST))
+
+    def error_of(self, factors: Iterable[Any], point: Point) -> float:
+        """Energy of some of its factors at a point, nats."""
+        return float(self._rows.error_of(point, [self._place[id(factor)] for factor in factors]))
 
     def judge(self, point: Array, looks: Sequence[bool]) -> list[Array]:
         """What factors that judge (`Source.judge`) find out of a point, in their order; with a look all of it anew."""
@@ -222,6 +228,10 @@ class MixedSystem(_System):
         """Energy of all factors of the first graph at a point, nats."""
         energies = [bound.rows.error(bound.point(point), _FIRST) for bound in self._groups]
         return float(self._rest[_FIRST].error(point) + sum(energies))
+
+    def error_of(self, factors: Iterable[Any], point: Point) -> float:
+        """Energy of some of its factors at a point, nats."""
+        return float(sum(factor.error(point) for factor in factors))
 
     def judge(self, point: gtsam.Values, looks: Sequence[bool]) -> list[Array]:
         """What factors that judge (`Source.judge`) find out of a point, in their order; with a look all of it anew."""

@@ -29,6 +29,7 @@ from fgrecon.video.follow import Follower
 from fgrecon.video.run import VideoRun
 
 ELIMINATION, OPTIMISER, NETWORKS = "GTSAM's elimination", "GTSAM's optimiser, callbacks in it", "ONNX Runtime"
+COMPILED = "rows and elimination, compiled"
 
 came: dict[int, float] = {}
 done: dict[int, float] = {}
@@ -105,6 +106,10 @@ def main() -> None:
     clock(VideoRun if hasattr(VideoRun, "smooth") else Tracker, "smooth", "smoothing")
     clock(gtsam.GaussianFactorGraph, "optimize", ELIMINATION, least)
     clock(gtsam.LevenbergMarquardtOptimizer, "optimize", OPTIMISER, least)
+    with suppress(ImportError):
+        system = import_module("factors.system").CompiledSystem
+        clock(system, "step", COMPILED, least)
+        clock(system, "covariance", COMPILED, least)
     with suppress(ImportError):
         clock(import_module("onnxruntime").InferenceSession, "run", NETWORKS, least)
     with suppress(SystemExit):

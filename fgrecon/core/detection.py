@@ -106,7 +106,7 @@ def half_around(azimuth: float, bins: int) -> NDArray[np.float64]:
     """(A,) share of each of A directions that is in the half of all around one, radians."""
     width = 2.0 * np.pi / bins
     off = np.abs(wrap_angle(width * np.arange(bins) - azimuth))
-    return np.clip((np.pi / 2.0 - off) / width + 0.5, 0.0, 1.0)
+    return np.minimum(np.maximum((np.pi / 2.0 - off) / width + 0.5, 0.0), 1.0)
 
 
 def calibrated_facing(probability: float, bias: float, slope: float) -> float:

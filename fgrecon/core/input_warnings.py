@@ -143,6 +143,8 @@ class InputWarnings:
 
     def lines(self) -> list[str]:
         """What to warn of; of results where nothing else is doubtful, and if it is that of most vehicles."""
+        if not self.counts:
+            return []
         shown = [doubt for doubt in InputWarning if self.counts[doubt] and doubt in _BEFORE]
         if not shown:
             shown = [doubt for doubt in InputWarning if 2 * self.counts[doubt] > self.judged and doubt not in _BEFORE]

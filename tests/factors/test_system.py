@@ -103,6 +103,9 @@ def test_information_step_and_energy_are_gtsams(apart, some):
         np.testing.assert_allclose(step, expected, rtol=1e-5, atol=1e-7 * np.abs(step).max())
         assert energy() == pytest.approx(graph.error(values), rel=1e-11)
         assert system.error(point) == pytest.approx(graph.error(values), rel=1e-11)
+        every_third = factors[::3]
+        expected_energy = sum(factor.error(values) for factor in every_third)
+        assert system.error_of(every_third, point) == pytest.approx(expected_energy, rel=1e-11)
         moved = system.moved(point, expected)
         after = system.values(moved)
         assert after.equals(values.retract(solution), 1e-12)

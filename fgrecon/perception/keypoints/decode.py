@@ -153,7 +153,8 @@ def peak(likelihood: Array) -> tuple[Array, Array]:
     """
     batch, count, height, width = likelihood.shape
     flat = likelihood.reshape(batch * count, height, width)
-    padded = np.pad(flat, ((0, 0), (1, 1), (1, 1)))
+    padded = np.zeros((len(flat), height + 2, width + 2))
+    padded[:, 1:-1, 1:-1] = flat
     rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
     smooth = rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]
     r0, c0 = np.divmod(smooth.reshape(len(flat), -1).argmax(axis=1), width)

@@ -315,6 +315,11 @@ class Graph:
         assert self._system is not None
         return self._system.error(point)
 
+    def error_of(self, factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> float:
+        """Energy of some of the extra factors at the values, nats."""
+        system = self.system(values)
+        return system.error_of(factors, system.point(values))
+
     def look(self, values: gtsam.Values, *, hold: bool = False) -> None:
         """Match what other sensors say at the values, and weigh it; `hold` keeps what it is matched to."""
         for one in self.sensed:

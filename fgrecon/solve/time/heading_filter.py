@@ -20,6 +20,7 @@ locked.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -85,7 +86,7 @@ class Belief:
 
 def another_side(first: float, second: float) -> bool:
     """Whether two headings are so far apart that they are of different poses."""
-    return bool(np.abs(wrap_angle(first - second)) > SETTINGS.same_side_rad)
+    return abs((first - second + math.pi) % (2.0 * math.pi) - math.pi) > SETTINGS.same_side_rad
 
 
 def pose_evidence(headings: Sequence[float], energies: Sequence[float], *, alone: bool) -> Array:
@@ -244,7 +245,7 @@ def earlier_beliefs(last: Belief, images: Sequence[Array], steps: Sequence[tuple
     """
     found = [last]
     for image, (seconds, turn) in zip(images[-2::-1], steps[::-1], strict=True):
-        axis = np.logaddexp(image, np.roll(image, _BINS // 2))
+        axis = np.logaddexp(image, np.concatenate([image[_BINS // 2 :], image[: _BINS // 2]]))
         found.append(found[-1].predicted(seconds, -turn).updated(axis))
     return found[::-1]
 

@@ -94,8 +94,7 @@ class WindowSolve:
         optimum, last = self.adjusted.optimum, {one.image for one in self.seen[-2:]}
         ends = [_frames_of(tuple(factor.keys())) for factor in self.extra]
         between = [f for f, some in zip(self.extra, ends, strict=True) if len(some) > 1 and some & last]
-        against = sum(factor.error(optimum.values) for factor in between)
-        if against > energy * self.motion_share:
+        if self.adjusted.graph.error_of(between, optimum.values) > energy * self.motion_share:
             return True
         start, pose = self.starts[-1], optimum.state.poses[-1].matrix()
         if another_side(rotation_y(pose), rotation_y(start.camera_T_object)):
