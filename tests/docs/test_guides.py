@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from fgrecon.cli import main
 from fgrecon_research.cli import COMMANDS
 from tests.conftest import REPOSITORY
-from tests.docs.pages import PAGES, commands, fenced
+from tests.docs.pages import PAGES, commands, fenced, name_of
 
 GUIDES = [
     REPOSITORY / "README.md",
@@ -38,6 +38,13 @@ INSTALL = {
 }
 """Words by which a page names a package or an extra."""
 SAMPLE = "fgrecon sample --out sample"
+ELSEWHERE = {
+    "CONTRIBUTING.md": "what the workflow runs",
+    "docs/reference/licences.md": "the workflow's job `build`",
+    "fgrecon/data/sizes/kitti.md": "real data",
+    "fgrecon/data/weights/keypoints-car14-history.md": "real data, for hours",
+}
+"""Pages whose blocks do not run here, and why; those of the API pages are doctests."""
 
 
 @pytest.fixture(scope="session")
@@ -74,6 +81,14 @@ def test_its_blocks_run_in_order_in_an_empty_folder(guide, sample, tmp_path, mon
     if guide.stem == "photograph":  # "three cars, 11, 14 and 18 m ahead, and this finds all of them"
         found = sorted(float(car.result.location[2]) for car in names["cars"])
         assert found == pytest.approx([11.0, 14.0, 18.0], abs=1.5)
+
+
+def test_no_page_with_blocks_is_missing():
+    having = {
+        page for page in PAGES if any(language in ("bash", "python", "py") for language, _ in fenced(page.read_text()))
+    }
+    run = {*GUIDES, *(REPOSITORY / "docs/reference/api").glob("*.md")}
+    assert {name_of(page) for page in having - run} == set(ELSEWHERE)
 
 
 def run_commands(text, sample):

@@ -7,6 +7,7 @@ import ast
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -30,6 +31,8 @@ WORD = rf"(?i:{PHRASES})|[\w\-'’]+"
 CODE = r"```.*?```|`[^`\n]*`|\]\([^)]*\)"
 MOST_WORDS = 14.0
 """In a sentence, on average over a page."""
+MOST_WORDS_OF_ALL = 20000
+"""Of pages that nothing generates, without blocks of code, numbers, history and model cards."""
 
 
 def misspelt(*files, cwd=REPOSITORY):
@@ -96,3 +99,9 @@ def test_sentences_are_short(page):
     found = sentences(page.read_text(encoding="utf-8"))
     if len(found) > 5:
         assert sum(map(len, found)) / len(found) <= MOST_WORDS
+
+
+def test_the_manual_is_short():
+    pages = [page for page in PAGES if page.is_relative_to(DOCS) and not {"fields", "rooms.md"} & set(page.parts)]
+    words = re.sub(r"^```.*?^```", "", "\n".join(map(Path.read_text, pages)), flags=re.DOTALL | re.MULTILINE).split()
+    assert sum(bool(re.search(r"[A-Za-z]", word)) for word in words) <= MOST_WORDS_OF_ALL
