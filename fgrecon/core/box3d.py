@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _FARTHEST, _LARGEST = 1e5, 1e3  # metres: farther away or larger is no box of anything that a camera sees
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Box3D:
     """A 3D box as detectors give it, to start from.
 

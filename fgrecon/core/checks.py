@@ -45,7 +45,7 @@ def _numbers(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: s
         if given.dtype.kind not in _NUMBERS:  # text, bytes, dates; complex numbers would lose a part
             raise TypeError(f"{given.dtype}")
         array = hidden_as_nan(value, given.astype(np.float64, copy=False))
-    except (TypeError, ValueError, OverflowError) as error:
+    except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # the last of tensors with a gradient
         raise InvalidInputError(
             field, value, fix or f"Give numbers in an array of shape {shape_words(shape)}."
         ) from error

@@ -192,11 +192,15 @@ def as_evidence(given: Any) -> tuple[Evidence, ...]:
     """Evidence of any kinds as a tuple.
 
     Raises:
-        InvalidInputError: It is no sequence of evidence.
+        InvalidInputError: It is no sequence of evidence, or has the same twice.
     """
     found = as_list("evidence", given)
     for number, one in enumerate(found):
         if not isinstance(one, Evidence):
             names = ", ".join(f"`{kind.__name__}`" for kind in get_args(Evidence))
             raise InvalidInputError(f"evidence[{number}]", one, f"Give any of {names}.")
+        if any(one is other for other in found[:number]):
+            raise InvalidInputError(
+                f"evidence[{number}]", "what is given before", "Give each once: it would count twice."
+            )
     return tuple(found)

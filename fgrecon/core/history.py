@@ -107,7 +107,7 @@ class Deferred(Sequence[T]):
         return tuple, (self._all(),)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Iteration:
     """State after one step of the optimisation.
 
@@ -137,7 +137,7 @@ class Iteration:
     __repr__ = brief_repr
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GraphFactor:
     """One factor of the graph that the result minimises, for drawing.
 
@@ -152,7 +152,7 @@ class GraphFactor:
     variables: tuple[str, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Alternative:
     """Another pose that explains the keypoints.
 

@@ -28,6 +28,9 @@ from fgrecon.core.reconstruction import Reconstruction
 FARTHEST_OUTSIDE = 0.5
 """Of an image's size: so far beyond its edges may keypoints be of a vehicle that they cut off."""
 
+FARTHEST = 2000.0
+"""Metres: a camera that shows keypoints of a vehicle there sees 0.1 degree; not tuned."""
+
 MIRRORED_GAIN = 8.0
 """Nats by which keypoints fit better with left and right exchanged if they are. Exchanged ones of KITTI's tracks gain
 11 to 40, and the right ones lose as much."""
@@ -71,6 +74,8 @@ class InputWarning(StrEnum):
     """Hardly a lens has the camera's."""
     MIRRORED = "mirrored"
     """They fit better with left and right exchanged."""
+    FAR = "far"
+    """The result is farther away than cameras show keypoints."""
     AIR = "air"
     """The result is in the air, or leans by tens of degrees."""
     FIT = "fit"
@@ -91,6 +96,8 @@ _SENTENCES = {
     "one does. Is its focal length in pixels of this image?",
     "mirrored": "The keypoints of {} fit better with left and right exchanged. Left and right are the vehicle's own; "
     "or is the image mirrored?",
+    "far": f"The results of {{}} are more than {FARTHEST:g} m away. Is the camera's focal length in pixels of this "
+    "image?",
     "air": "The results of {} are high up in the air, or lean by tens of degrees against the camera. Are the camera's "
     "intrinsics right, and the image upright? Of a camera that looks down give the ground.",
     "fit": "Hardly a keypoint of {} fits. Is their order the category's, and are left and right the vehicle's own?",
@@ -102,11 +109,12 @@ REASONS = {
     InputWarning.OTHER_SIZE: "the principal point of its camera is the middle of an image of another size",
     InputWarning.SQUARE: "the pixels of its camera are far from square",
     InputWarning.FIELD_OF_VIEW: "hardly a lens has the field of view of its camera",
+    InputWarning.FAR: f"it is more than {FARTHEST:g} m away",
     InputWarning.AIR: "it is high up in the air, or leans by tens of degrees against the camera",
 }
 """Of what is doubtful of a camera: the clauses of results that are weak by it."""
 
-_BEFORE = frozenset(InputWarning) - {InputWarning.MIRRORED, InputWarning.AIR, InputWarning.FIT}
+_BEFORE = frozenset(InputWarning) - {InputWarning.MIRRORED, InputWarning.FAR, InputWarning.AIR, InputWarning.FIT}
 """What is doubtful before a vehicle is solved, whose fit then says nothing more."""
 
 _SUMMED_UP: ContextVar[bool] = ContextVar("summed_up", default=False)
@@ -293,6 +301,8 @@ def result_warning_of(observation: Observation, result: Reconstruction) -> Input
     share = fit_share(observation, result.diagnostics.weights)
     if observation.azimuth is None and share is not None and share < _FEW:
         return InputWarning.FIT
+    if result.status.determined and np.linalg.norm(result.location) > FARTHEST:
+        return InputWarning.FAR
     grounded = "ground" in result.diagnostics.energies  # which says how the camera looks at it
     if result.status.determined and not grounded and in_the_air(result.camera_T_object):
         return InputWarning.AIR

@@ -45,7 +45,7 @@ TRUSTED = 0.5
 """Keypoints of at least this weight count as trusted where results are told in words."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pose(LazyFields):
     """Where the vehicle is and which way it faces, in the camera's frame and in the image.
 
@@ -77,7 +77,7 @@ class Pose(LazyFields):
     __repr__ = brief_repr
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shape(LazyFields):
     """What the vehicle looks like, in its own frame, and the model that this is an instance of.
 
@@ -112,7 +112,7 @@ class Shape(LazyFields):
     __repr__ = brief_repr
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Uncertainty:
     """How certain pose and shape are: the spread around them, and the other poses that remain.
 
@@ -146,7 +146,7 @@ class Uncertainty:
     __repr__ = brief_repr
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Diagnostics(LazyFields):
     """How the result came about: what each keypoint counted, the energy, the steps and the time.
 
@@ -201,7 +201,7 @@ class Diagnostics(LazyFields):
     __repr__ = brief_repr
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reconstruction:
     """Pose and shape of one vehicle.
 

@@ -14,7 +14,7 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.text import counted
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SceneReconstruction:
     """The vehicles of one image on one ground.
 

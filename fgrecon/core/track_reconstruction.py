@@ -17,7 +17,7 @@ from fgrecon.core.serialise import as_arrow, as_pandas
 from fgrecon.core.text import counted
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JointStep:
     """State of the whole track after one step of the joint optimisation.
 
@@ -38,7 +38,7 @@ class JointStep:
     __repr__ = brief_repr
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrackReconstruction:
     """Poses of one vehicle over several images, and its one shape.
 

@@ -21,6 +21,7 @@ from fgrecon.core.input_warnings import warn
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, Options, checked_options
 from fgrecon.core.refined_box import RefinedBox
+from fgrecon.core.settings import one_of
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.io.catalogue import load_prior
@@ -82,17 +83,16 @@ def refine_boxes(
         ContradictoryInputWarning: The boxes seem to have another origin than `box_origin`.
     """
     errors = BoxErrors() if box_errors is None else as_instance("box_errors", box_errors, BoxErrors)
-    boxes = on_bottom(as_list("boxes", boxes, Box3D), BoxOrigin(box_origin))
-    if contradiction := contradicted_origin(boxes, as_ground(ground), BoxOrigin(box_origin)):
+    origin = one_of(BoxOrigin, "box_origin", box_origin)
+    boxes = on_bottom(as_list("boxes", boxes, Box3D), origin)
+    if contradiction := contradicted_origin(boxes, as_ground(ground), origin):
         warn(contradiction, stacklevel=2)
         return [RefinedBox(box, box, f"Unchanged: {contradiction}") for box in boxes]
     if options is None:
         options = Options(box=BoxOptions(model=BoxModel.CUBOID), keep_history=False)
     settings = checked_options(options, joint=True)
     pixels = read_image(image) if isinstance(image, str | Path) else as_rgb8(image)
-    seen_by = Camera.of(camera)
-    if seen_by.image_size is None:
-        seen_by = seen_by.with_size_of(pixels)
+    seen_by = Camera.of(camera).with_size_of(pixels)
     where, own = _where(boxes, corners, seen_by, pixels)
     looked = np.flatnonzero(large_enough(where)).tolist()
     shape_prior = load_prior(prior)

@@ -101,7 +101,10 @@ def _plane(cells: Array, given: Ground | None) -> Ground | None:
     x, y, z = cells.T
     ahead = np.stack([np.ones(len(cells)), x, z], axis=1)  # y = a + b x + c z
     if given is None:
-        start = np.array([np.percentile(y[z < np.median(z)], ROAD.start_percentile), 0.0, 0.0])
+        nearer = z < np.median(z)
+        if not nearer.any():  # a wall, all at one depth
+            return None
+        start = np.array([np.percentile(y[nearer], ROAD.start_percentile), 0.0, 0.0])
     else:
         start = np.array([given.distance, -given.normal[0], -given.normal[2]]) / given.normal[1]
     for scale in ROAD.scales_m:

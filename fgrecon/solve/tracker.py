@@ -111,6 +111,8 @@ class Tracker:
             )
         if past is not None and (not isinstance(past, int | np.integer) or past < 1):
             raise InvalidInputError("past", past, "Give at least 1 frame, a whole number, or None.")
+        if motion_factors is not None and not callable(motion_factors):
+            raise InvalidInputError("motion_factors", motion_factors, "Give a function that makes factors, or None.")
         self._setup = replace(setup, options=replace(setup.options, keep_history=False))
         kept = None if past is None else int(past)
         self._model = FilterModel(setup.prior.category.motion, int(window), kept, motion_factors)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
-from fgrecon.core.input_warnings import REASONS, InputWarning, camera_warning_of, in_the_air
+from fgrecon.core.input_warnings import FARTHEST, REASONS, InputWarning, camera_warning_of, in_the_air
 from fgrecon.core.observation import Observation
 from fgrecon.core.result_fields import Status
 from fgrecon.solve.solve_settings import STATUS
@@ -62,6 +62,8 @@ def weaknesses(
         found += off_ground(float(ground.normal @ camera_T_object[:3, 3] - ground.distance), sigma)
     elif in_the_air(camera_T_object):
         found.append(REASONS[InputWarning.AIR])
+    if np.linalg.norm(camera_T_object[:3, 3]) > FARTHEST:
+        found.append(REASONS[InputWarning.FAR])
     if (doubt := camera_warning_of(camera)) is not None:
         found.append(REASONS[doubt])
     return tuple(found)

@@ -181,5 +181,5 @@ def draw_key(axes: Any, scene: DrawnScene, room: float, lines: float, scale: flo
         from matplotlib.patches import Ellipse
 
         axes.add_patch(Ellipse((0.09, y + 0.5), 0.13, 0.6, facecolor=(*unit(ink), 0.25), edgecolor=unit(ink), lw=0.7))
-        larger = "" if scale == 1.0 else f", {scale:.0f} × as large"
+        larger = "" if scale == 1.0 else f" ({scale:.0f} ×)"
         axes.text(0.21, y + 0.5, f"{100 * LEVEL:.0f} % of position{larger}", fontsize=FONT, va="center")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fgrecon.core.checks import as_rigid
+from fgrecon.core.checks import as_finite, as_rigid
 from fgrecon.core.errors import InvalidInputError
 from tests.cars import yaw_pose
 
@@ -42,3 +42,15 @@ def test_a_rigid_motion_is_taken_as_it_is():
 def test_what_is_no_rigid_motion_is_named(matrix):
     with pytest.raises(InvalidInputError, match=r"pose.*rigid motion"):
         as_rigid("pose", matrix, 1e-2)
+
+
+class _WithGradient:
+    """What a tensor does that belongs to a graph of gradients."""
+
+    def __array__(self, dtype=None, copy=None):
+        raise RuntimeError("Can't call numpy() on Tensor that requires grad.")
+
+
+def test_what_makes_no_array_is_named():
+    with pytest.raises(InvalidInputError, match=r"^keypoints"):
+        as_finite("keypoints", _WithGradient(), (14, 2))

@@ -37,3 +37,11 @@ def test_evidence_is_a_sequence_of_evidence() -> None:
         as_evidence([np.zeros((3, 3))])
     with pytest.raises(InvalidInputError, match=r"^evidence"):
         Observation.of(np.zeros((14, 2))).with_evidence([np.zeros((3, 3))])  # type: ignore[list-item]
+
+
+def test_the_same_evidence_does_not_count_twice() -> None:
+    points = Points(np.array([[0.0, 1.0, 5.0]]))
+    with pytest.raises(InvalidInputError, match=r"^evidence\[1\]: got what is given before"):
+        as_evidence([points, points])
+    with pytest.raises(InvalidInputError, match=r"^evidence\[1\]"):
+        Observation.of(np.zeros((14, 2))).with_evidence([points]).with_evidence([points])

@@ -218,3 +218,12 @@ def test_the_speed_s_sigma_is_the_spread_of_lengths_of_velocities():
     still = replace(estimate, velocity=np.zeros(3), velocity_covariance=np.diag([0.04, 0.01, 0.09]))
     assert still.speed_sigma == pytest.approx(0.3)
     assert replace(estimate, velocity_covariance=None).speed_sigma is None
+
+
+def test_results_are_compared_by_identity():
+    """Their arrays have no one truth value: a copy is another result."""
+    result = made_up(np.random.default_rng(0))
+    copy = Reconstruction.from_dict(result.to_dict())
+    assert copy != result
+    assert copy not in [result]
+    assert {result: 1}[result] == 1

@@ -59,6 +59,12 @@ BAD = {
     "refine text": (lambda: fgrecon.refine_boxes(IMAGE, "abc", CAMERA), "boxes"),
     "refine of None": (lambda: fgrecon.refine_boxes(IMAGE, [None], CAMERA), "boxes[0]"),
     "refine errors": (lambda: fgrecon.refine_boxes(IMAGE, [], CAMERA, box_errors="abc"), "box_errors"),
+    "refine origin": (lambda: fgrecon.refine_boxes(IMAGE, [BOX], CAMERA, box_origin="top"), "box_origin"),
+    "refine another size": (
+        lambda: fgrecon.refine_boxes(IMAGE[:99], [BOX], replace(CAMERA, image_size=(1240, 375))),
+        "image",
+    ),
+    "motion factors": (lambda: fgrecon.Tracker(motion_factors=3), "motion_factors"),
     "refine corners": (lambda: fgrecon.refine_boxes(IMAGE, [BOX], CAMERA, corners="abc"), "corners"),
     "image boxes": (lambda: fgrecon.reconstruct_image(IMAGE, CAMERA, boxes="abc"), "boxes"),
     "factors None": (lambda: fgrecon.reconstruct(SEEN, CAMERA, extra_factors=None), "extra_factors"),

@@ -132,6 +132,14 @@ def test_results_in_the_air_name_the_camera():
     assert "high up in the air" in result.message
 
 
+def test_results_farther_than_a_camera_shows_keypoints_name_the_focal_length():
+    pixels, _ = car()
+    with pytest.warns(ContradictoryInputWarning, match=r"2000 m away\. Is the camera.s focal"):
+        result = reconstruct(pixels, (7.2e5, 7.2e5, 610.0, 173.0))
+    assert result.status is Status.WEAK
+    assert "it is more than 2000 m away" in result.reasons
+
+
 def test_python_warns_as_commands_do():
     pixels, _ = car()
     said = pytest.warns(ContradictoryInputWarning, match="All keypoints of the vehicle are between 0 and 1")

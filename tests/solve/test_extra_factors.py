@@ -175,6 +175,19 @@ def test_an_unknown_variable_is_refused_by_name(seen, factor, name):
         reconstruct_track([seen], CAMERA, options=options, extra_factors=[factor])
 
 
+@pytest.mark.parametrize(
+    "factor",
+    [
+        gtsam.PriorFactorPose3(L(0), gtsam.Pose3(), isotropic(6, 1.0)),
+        gtsam.PriorFactorVector(L(0), np.zeros(2), isotropic(2, 1.0)),
+    ],
+    ids=["type", "size"],
+)
+def test_a_factor_of_another_type_than_its_variable_is_refused(seen, factor):
+    with pytest.raises(InvalidInputError, match=r"^extra_factors\[1\]: got PriorFactor.* on L\(v=0\)"):
+        reconstruct(seen, CAMERA, extra_factors=[distance(10.0, 1.0), factor])
+
+
 def test_offsets_can_be_meant():
     prior = load_prior("car14")
     seen = observe(prior, yaw_pose(0.7), noise=2.0)

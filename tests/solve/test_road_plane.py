@@ -69,3 +69,8 @@ def test_what_is_given_stays_where_points_do_not_show_more():
     assert ground_by_points([Points(wall)], None, CAMERA, ()) is None
     assert ground_by_points([points], Ground.level(3.5), CAMERA, ()).distance == 3.5, "no road is that far off"
     assert ground_by_points([], None, CAMERA, ()) is None
+
+
+def test_a_wall_is_no_ground():
+    wall = DepthMap(np.full((375, 1242), 12.6))
+    assert ground_by_points([wall], None, CAMERA, ()) is None

@@ -254,6 +254,15 @@ def test_no_text_of_the_table_covers_another(example, seen, count, before, detec
         assert place.x1 <= figure.bbox.x1 + 1
 
 
+def test_the_legend_of_enlarged_ellipses_is_within_the_picture(seen, vehicles):
+    tiny = [replace(v, result=changed(v.result, pose_covariance=np.eye(6) * 1e-6)) for v in vehicles]
+    figure = draw(seen, tiny)
+    figure.canvas.draw()
+    (line,) = (text for text in figure.axes[-1].texts if text.get_text().startswith("95 %"))
+    assert line.get_text() == "95 % of position (20 ×)"
+    assert line.get_window_extent().x1 <= figure.bbox.x1 - 1
+
+
 def test_what_was_not_solved_has_its_box(example, seen, vehicles):
     lost = [vehicles[0], replace(vehicles[1], result=failed(example)), replace(vehicles[2], result=None, name="far")]
     figure = draw(seen, lost)

@@ -108,7 +108,7 @@ class Graph:
             earlier: How many images of each vehicle there are beside these.
 
         Raises:
-            InvalidInputError: A factor of the caller's own has a key of no variable.
+            InvalidInputError: A factor of the caller's own has a key of no variable, or is of another type than it.
         """
         self.options: Options = observations[0].problem.options
         self._told: tuple[Sequence[Weights], Form] | None = None  # what the rows have
@@ -148,11 +148,8 @@ class Graph:
         self._own_keys |= {key for vehicle in self.vehicles.values() for key in vehicle.keys}
         keys = self._own_keys | set(state.others.keys()) | self.shared.known.keys()
         self.extra = [factor for factor in extra if keys.issuperset(factor.keys())]
-        if pose_free and not hold_shape and len(self.extra) < len(extra):
-            unknown = {key for factor in extra for key in list(factor.keys())} - keys
-            names = ", ".join(sorted(map(key_name, unknown)))
-            known = ", ".join(sorted(map(key_name, keys)))
-            raise InvalidInputError("extra_factors", f"variables {names}", f"The graph has {known}.")
+        if extra and pose_free and not hold_shape:
+            _check_extra(extra, self.values(state))
 
     def values(self, state: State) -> gtsam.Values:
         """Values of every variable."""
@@ -400,3 +397,25 @@ class Graph:
             for name, energy in part.energies(values, weight).items():
                 total[name] = total.get(name, 0.0) + energy
         return total | self.own_energies(values)
+
+
+def _check_extra(factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values) -> None:
+    """Refuse a caller's own factors that do not fit the variables at these values.
+
+    Raises:
+        InvalidInputError: A key is no variable's, or a factor of GTSAM's is of another type or size than its variable.
+    """
+    known = set(values.keys())
+    if unknown := {key for factor in factors for key in list(factor.keys())} - known:
+        names, variables = (", ".join(sorted(map(key_name, keys))) for keys in (unknown, known))
+        fix = f"The graph has {variables}; `factors` has functions that make these keys."
+        raise InvalidInputError("extra_factors", f"variables {names}", fix)
+    for number, factor in enumerate(factors):
+        if isinstance(factor, gtsam.CustomFactor):  # a callback's errors are the caller's own
+            continue
+        try:
+            factor.linearize(values)
+        except (RuntimeError, ValueError) as error:
+            keys = ", ".join(key_name(key) for key in list(factor.keys()))
+            fix = f"Give one of the type and size of these variables: {error}"
+            raise InvalidInputError(f"extra_factors[{number}]", f"{type(factor).__name__} on {keys}", fix) from error
