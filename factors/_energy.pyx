@@ -32,7 +32,8 @@ cdef enum Form:  # as `factors.mixture.Form`
 cdef inline double project(
     const double *C, const double *R, const double *t, const double *X, double least, double *uv, double *G
 ) noexcept nogil:
-    """Pixel of an object point X, and in G (2, 3) its derivative by the camera point; returns the true depth."""
+    """Pixel of an object point X, and in G (2, 3), unless it is NULL, its derivative by the camera point; returns the
+    true depth."""
     cdef double x = R[0] * X[0] + R[1] * X[1] + R[2] * X[2] + t[0]
     cdef double y = R[3] * X[0] + R[4] * X[1] + R[5] * X[2] + t[1]
     cdef double depth = R[6] * X[0] + R[7] * X[1] + R[8] * X[2] + t[2]
@@ -41,12 +42,13 @@ cdef inline double project(
     y *= inverse
     uv[0] = C[0] * x + C[1] * y + C[2]
     uv[1] = C[4] * y + C[5]
-    G[0] = C[0] * inverse
-    G[1] = C[1] * inverse
-    G[2] = -(C[0] * x + C[1] * y) * inverse
-    G[3] = 0.0
-    G[4] = C[4] * inverse
-    G[5] = -C[4] * y * inverse
+    if G != NULL:
+        G[0] = C[0] * inverse
+        G[1] = C[1] * inverse
+        G[2] = -(C[0] * x + C[1] * y) * inverse
+        G[3] = 0.0
+        G[4] = C[4] * inverse
+        G[5] = -C[4] * y * inverse
     return depth
 
 
@@ -326,12 +328,15 @@ cdef class Observation:
         cdef double g[3]
         cdef double h[3]
         cdef double moment[9]
-        cdef double sign, total, mean, depth, behind, farthest = -FARTHEST * self.softness, nearest = INFINITY
+        cdef double by_shape, sign, total, mean, depth, behind, farthest = -FARTHEST * self.softness, nearest = INFINITY
         for e in range(4):
             extreme[e] = -INFINITY
+        memcpy(X, &self.outline[0, 0], 3 * P * sizeof(double))
+        for n in range(N):
+            for i in range(3 * P):
+                X[i] += x[n] * self.outline_basis[n, i]
         for p in range(P):
-            shaped(&self.outline[0, 0], self.outline_basis, p, x, NULL, X + 3 * p)
-            depth = project(&self.camera[0, 0], R, t, X + 3 * p, least, uv, G + 6 * p)
+            depth = project(&self.camera[0, 0], R, t, X + 3 * p, least, uv, G + 6 * p if crease != NULL else NULL)
             nearest = depth if depth < nearest else nearest
             for a in range(2):
                 U[a * P + p] = uv[a]
@@ -359,6 +364,8 @@ cdef class Observation:
             memset(moment, 0, 9 * sizeof(double))
             for i in range(count):
                 p = which[i]
+                if crease == NULL:
+                    project(&self.camera[0, 0], R, t, X + 3 * p, least, uv, G + 6 * p)
                 share[i] *= (1.0 + away[i] - mean) / (total * self.box_sigma)
                 for a in range(3):
                     g[a] = share[i] * G[6 * p + 3 * (e % 2) + a]
@@ -368,8 +375,10 @@ cdef class Observation:
                 if N:
                     turned(g, R, h)
                     for n in range(N):
+                        by_shape = J[e * D + 6 + n]  # in a register: to memory and back takes longer than the product
                         for a in range(3):
-                            J[e * D + 6 + n] += h[a] * self.outline_basis[n, 3 * p + a]
+                            by_shape += h[a] * self.outline_basis[n, 3 * p + a]
+                        J[e * D + 6 + n] = by_shape
             for a in range(3):  # sum of X x (g R), from the sums of X g'
                 turned(moment + 3 * a, R, h)
                 J[e * D + (a + 2) % 3] += h[(a + 1) % 3]

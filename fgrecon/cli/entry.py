@@ -35,6 +35,8 @@ def run() -> NoReturn:
 
 def main() -> None:
     """Import the command line and run it; interrupted, exit with code 130."""
+    if "OMP_NUM_THREADS" not in os.environ:  # matrices are small, and threads that wait for large ones keep cores busy
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     interrupts: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:

@@ -1,5 +1,6 @@
 """Ctrl-C ends the command line by exit code 130 without a traceback, from its first import on."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -22,6 +23,12 @@ sys.meta_path.insert(0, Interrupts())
 from fgrecon.cli.entry import main
 main()
 """
+
+
+@pytest.fixture(autouse=True)
+def threads(monkeypatch):
+    """What `main` says of threads is no longer said after the test."""
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.mark.parametrize("module", ["fgrecon.cli.main", "typer", "fgrecon.cli.run", "gtsam", "rich.markup"])
@@ -91,6 +98,18 @@ def test_the_end_waits_for_threads_and_calls_what_is_registered(code, status):
     done = subprocess.run(command, capture_output=True, check=False, text=True)
     assert (done.returncode, done.stdout.split()) == (status, ["thread", "registered"])
     assert done.stderr == ("" if code != "a message" else "a message\n")
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [({}, "1"), ({"OMP_NUM_THREADS": "2"}, None), ({"OPENBLAS_NUM_THREADS": "3"}, "3")],
+)
+def test_no_thread_waits_for_large_matrices_unless_somebody_wants_some(monkeypatch, given, expected):
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        monkeypatch.setenv(name, given[name]) if name in given else monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(main, "main", lambda: None)
+    entry.main()
+    assert os.environ.get("OPENBLAS_NUM_THREADS") == expected
 
 
 def test_a_reader_that_has_gone_is_told_as_ever():
