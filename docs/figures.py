@@ -49,8 +49,7 @@ def region(result: Reconstruction) -> Array:
     flat = (rotation @ covariance[3:, 3:] @ rotation.T)[np.ix_([0, 2], [0, 2])]
     turn = np.linspace(0, 2 * np.pi, 64)
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    edge: Array = result.location[[0, 2]] + np.sqrt(CHI2_95) * circle @ np.linalg.cholesky(flat).T
-    return edge
+    return result.location[[0, 2]] + np.sqrt(CHI2_95) * circle @ np.linalg.cholesky(flat).T
 
 
 def draw_car(axes: Any, pose: Array, size: Array, colour: str, style: str = "-", label: str | None = None) -> None:

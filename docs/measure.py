@@ -45,8 +45,7 @@ def loaded(arguments: Sequence[str | Path], folder: Path) -> dict[str, Any]:
     """What a command writes as JSON."""
     file = folder / "out.json"
     run([*arguments, "--json", file])
-    content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return content
+    return json.loads(file.read_text(encoding="utf-8"))
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -60,8 +60,7 @@ def as_noise(field: str, noise: Noise, rows: int) -> gtsam.noiseModel.Base:
 def _symmetric(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether matrices (..., N, N) are symmetric but for rounding, as J S J' is."""
     off = np.abs(matrices - matrices.swapaxes(-1, -2)).max(axis=(-2, -1))
-    alike: NDArray[np.bool_] = off <= _ROUNDING * np.abs(matrices).max(axis=(-2, -1))
-    return alike
+    return off <= _ROUNDING * np.abs(matrices).max(axis=(-2, -1))
 
 
 def _positive(field: str, value: float) -> float:

@@ -78,8 +78,7 @@ class SurfacePatches:
         """(Q,) the patch of the mean shape next to each point (Q, 3), roughly."""
         place = np.rint((points - self.first) / SPACING)
         x, y, z = np.clip(place, 0, np.array(self.grid.shape) - 1).astype(np.intp).T
-        found: NDArray[np.int32] = self.grid[x, y, z]
-        return found
+        return self.grid[x, y, z]
 
 
 def _nearest(points: Array, centres: Array, count: int) -> NDArray[np.int32]:

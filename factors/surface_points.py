@@ -172,8 +172,7 @@ class PointRows:
         """(M,) which points in the object frame are so near the vehicle's cuboid that they may be on a patch."""
         half, middle = size[[0, 2, 1]] / 2.0, np.array([0.0, -size[2] / 2.0, 0.0])
         reach = self.odds.reach + FARTHEST * self.odds.reach_sigma + OUTSIDE
-        near: NDArray[np.bool_] = (np.abs(local - middle) <= half + reach).all(axis=1)
-        return near
+        return (np.abs(local - middle) <= half + reach).all(axis=1)
 
     def _traced(self, sensor: Array, unit: Array, scale: Array, size: Array, coefficients: Array) -> Array:
         """(M, 3) where rays meet the surface, object frame; of one that misses it, where it is near."""
@@ -225,8 +224,7 @@ class PointRows:
     @property
     def _peak(self) -> Array:
         """(M,) density of anything else, relative to the peak of a right point's."""
-        peak: Array = np.sqrt(2.0 * np.pi) * self._spread / np.maximum(self.odds.span, SPREAD * self.along)
-        return peak
+        return np.sqrt(2.0 * np.pi) * self._spread / np.maximum(self.odds.span, SPREAD * self.along)
 
     def _elsewhere(self, local: Array, sensor: Array, size: Array) -> Array:
         """(M,) how dense points that are anything else are, by their rays through a cuboid in the vehicle."""
@@ -264,10 +262,7 @@ class PointRows:
         By a turn about the object's axes, a shift along them, the coefficients, and the C numbers that points share.
         """
         if self.compiled is not None:
-            found: tuple[Array, Array | None] = self.compiled.distances(
-                match.patch, match.sigma, rotation, translation, coefficients, shared, want
-            )
-            return found
+            return self.compiled.distances(match.patch, match.sigma, rotation, translation, coefficients, shared, want)
         patches, patch = self.patches, match.patch
         local = (self.placed(shared) - translation) @ rotation
         basis, normal = patches.basis[:, patch], patches.normal[patch]
@@ -289,8 +284,7 @@ class PointRows:
     def assess(self, match: Match, distances: Array) -> tuple[Array, float]:
         """Weights (M,) of the points, and their energy, nats."""
         if self.compiled is not None:
-            assessed: tuple[Array, float] = self.compiled.assess(match.right, match.wrong, distances)
-            return assessed
+            return self.compiled.assess(match.right, match.wrong, distances)
         weights, losses = mixture(match.right, match.wrong, np.square(distances))
         off = np.log(self.odds.vehicle + (1.0 - self.odds.vehicle) * self._peak) - np.log(match.right + match.wrong)
         outliers = match.right <= 0.0  # of which the mixture says nothing

@@ -107,8 +107,7 @@ class CompiledSystem(_System):
 
     def moved(self, point: Array, step: Array) -> Array:
         """Where a step leads."""
-        found: Array = self._rows.moved(point, step)
-        return found
+        return self._rows.moved(point, step)
 
     def step(self, point: Array) -> tuple[Array, Callable[[], float]]:
         """The step (D,) to the minimum of the linear graph at a point, and what tells the energy there, nats.
@@ -125,8 +124,7 @@ class CompiledSystem(_System):
     def information(self, point: Array, *, second: bool = False) -> Array:
         """(D, D) of the linear graph at a point, or of the other one, in the order of a step."""
         self._rows.linearise(point, _SECOND if second else _FIRST)
-        found: Array = self._rows.information()[:-1, :-1]
-        return found
+        return self._rows.information()[:-1, :-1]
 
     def covariance(
         self, point: Array, least: float, keys: Iterable[int] | None = None, *, second: bool = False
@@ -145,8 +143,7 @@ class CompiledSystem(_System):
         """
         self._rows.linearise(point, _SECOND if second else _FIRST)
         begin = min([self.places[key].start for key in (self.places if keys is None else keys)], default=self.size)
-        covariance: Callable[[NDArray[np.intp]], Array] | None = self._rows.covariance(begin, least)
-        return covariance
+        return self._rows.covariance(begin, least)
 
     def error(self, point: Array) -> float:
         """Energy of all factors of the first graph at a point, nats."""
@@ -158,8 +155,7 @@ class CompiledSystem(_System):
 
     def judge(self, point: Array, looks: Sequence[bool]) -> list[Array]:
         """What factors that judge (`Source.judge`) find out of a point, in their order; with a look all of it anew."""
-        found: list[Array] = self._rows.judge(point, looks)
-        return found
+        return self._rows.judge(point, looks)
 
 
 class MixedSystem(_System):
@@ -237,8 +233,7 @@ class MixedSystem(_System):
         """What factors that judge (`Source.judge`) find out of a point, in their order; with a look all of it anew."""
         if self._judging is None:
             return []
-        found: list[Array] = self._judging.rows.judge(self._judging.point(point), looks)
-        return found
+        return self._judging.rows.judge(self._judging.point(point), looks)
 
 
 class _Bound:
@@ -268,8 +263,7 @@ class _Bound:
 
     def point(self, values: gtsam.Values) -> Array:
         """The variables as the rows take them."""
-        found: Array = self.rows.point([read(values, key) for read, key in self._readers])
-        return found
+        return self.rows.point([read(values, key) for read, key in self._readers])
 
     def values(self, point: Array) -> gtsam.Values:
         """The variables of a point."""

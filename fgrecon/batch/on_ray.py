@@ -50,8 +50,7 @@ class _Actor(Worker[Tasks, Any]):
             self._actor = ray.remote(num_cpus=1, max_restarts=0)(_Solver).remote(self._solver)
             self._ready = self._actor.ready.remote()
             self._begun = self._ready.future()
-        future: Future[Any] = self._actor.solve.remote(piece, self._ready).future()
-        return future
+        return self._actor.solve.remote(piece, self._ready).future()
 
     def has_begun(self) -> bool:
         return self._begun.exception(_REPORT_SECONDS) is None

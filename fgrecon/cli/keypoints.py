@@ -11,7 +11,7 @@ import typer
 from fgrecon.cli.commands import add_command, new_group
 from fgrecon.cli.options import JsonOption, VehicleBoxes
 from fgrecon.cli.outputs import check_outputs
-from fgrecon.cli.terminal import Terminal
+from fgrecon.cli.terminal import Terminal, headed_table
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from rich.table import Table
@@ -77,12 +77,9 @@ def _instance(name: str, detection: CascadeDetection) -> dict[str, Any]:
 
 def _table(names: list[str], found: list[CascadeDetection], keypoints: tuple[str, ...], *, verbose: bool) -> Table:
     import numpy as np
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading in ("id", "keypoint", "u", "v", "confidence", *(("sigma px", "visible") if verbose else ())):
-        table.add_column(heading, justify="left" if heading in ("id", "keypoint") else "right")
+    headings = ("id", "keypoint", "u", "v", "confidence", *(("sigma px", "visible") if verbose else ()))
+    table = headed_table(*headings, left=2)
     for name, detection in zip(names, found, strict=True):
         seen = detection.observation
         covariance = np.full((len(keypoints), 2, 2), np.nan) if seen.covariance is None else seen.covariance

@@ -9,7 +9,7 @@ import typer
 
 from fgrecon.cli.commands import add_command, new_group
 from fgrecon.cli.options import PriorArgument
-from fgrecon.cli.terminal import Quiet
+from fgrecon.cli.terminal import Quiet, headed_table
 
 app = new_group("prior", "Look at shape priors; make and compare them.", ("build", "compare", "learn"))
 
@@ -29,7 +29,6 @@ def show_command(
 ) -> None:
     """Print what a prior holds; draw its mean and each mode at -2 and +2 sigma from three views."""
     import numpy as np
-    from rich.table import Table
 
     from fgrecon.io.catalogue import load_prior
     from fgrecon.io.files import check_output
@@ -42,11 +41,10 @@ def show_command(
         screen.print(f"{field.replace('_', ' ')}: {value}")
     box = ", ".join(f"{x:.2f}" for x in loaded.box_size(np.zeros(loaded.dimension)))
     screen.print(f"length, width, height of the mean: {box} m")
-    table = Table(title="Mean keypoints (m: forward, down, left), what the basis leaves unexplained, and the modes")
+    title = "Mean keypoints (m: forward, down, left), what the basis leaves unexplained, and the modes"
     sure = () if loaded.mean_sigma is None else ("mean ± cm (x, y, z)",)
     headings = ("keypoint", "x", "y", "z", *sure, "offset cm", *(f"mode {j + 1} cm" for j in range(loaded.dimension)))
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading == "keypoint" else "right")
+    table = headed_table(*headings, title=title)
     moves = 100 * np.linalg.norm(loaded.basis, axis=2)
     for k, keypoint in enumerate(loaded.category.keypoints):
         numbers = [f"{x:.3f}" for x in loaded.mean[k]]

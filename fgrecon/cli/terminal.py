@@ -266,21 +266,21 @@ def counting(advance: Advance, step: str, total: int) -> Callable[[str], None]:
     return lambda name: advance(step, next(done), total, name)
 
 
-def headed_table(*headings: str, left: int = 1, wrap: bool = False) -> Table:
+def headed_table(*headings: str, left: int = 1, title: str | None = None) -> Table:
     """A table without rows, of texts in its first columns and of numbers in the others.
 
     Args:
         headings: Of the columns.
-        left: How many hold texts, which are on the left and never wrapped.
-        wrap: Whether the others may be wrapped.
+        left: How many hold texts, which are never wrapped; where the terminal is narrow numbers are, and never cut.
+        title: Above it.
     """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=title)
     for number, heading in enumerate(headings):
         is_text = number < left
-        table.add_column(heading, justify="left" if is_text else "right", no_wrap=is_text or not wrap)
+        table.add_column(heading, justify="left" if is_text else "right", no_wrap=is_text, overflow="fold")
     return table
 
 

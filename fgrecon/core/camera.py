@@ -227,8 +227,7 @@ class Camera:
 
     def _of_plane(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """(M, 2) pixels of points (M, 2) at z = 1."""
-        pixels: NDArray[np.float64] = points @ self.matrix[:2, :2].T + self.matrix[:2, 2]
-        return pixels
+        return points @ self.matrix[:2, :2].T + self.matrix[:2, 2]
 
     @cached_property
     def _inverse(self) -> NDArray[np.float64]:

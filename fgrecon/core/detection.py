@@ -83,8 +83,7 @@ def at_direction(values: NDArray[np.float64], azimuth: NDArray[np.float64]) -> N
     bins = len(values)
     place = np.mod(azimuth, 2.0 * np.pi) / (2.0 * np.pi) * bins
     low, share = place.astype(int) % bins, place % 1.0
-    found: NDArray[np.float64] = (1.0 - share) * values[low] + share * values[(low + 1) % bins]
-    return found
+    return (1.0 - share) * values[low] + share * values[(low + 1) % bins]
 
 
 def facing_probability(directions: NDArray[np.float64], azimuth: float) -> float:

@@ -43,8 +43,7 @@ def exponential(rotation: Array) -> Array:
     zero = np.zeros_like(x)
     skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*rotation.shape[:-1], 3, 3)
     safe = np.maximum(angle, 1e-8)
-    result: Array = np.eye(3) + np.sin(safe) / safe * skew + (1.0 - np.cos(safe)) / safe**2 * (skew @ skew)
-    return result
+    return np.eye(3) + np.sin(safe) / safe * skew + (1.0 - np.cos(safe)) / safe**2 * (skew @ skew)
 
 
 def yaw_rotation(yaw: ArrayLike) -> Array:
@@ -66,8 +65,7 @@ def view_azimuth(rotation: Array, translation: Array) -> Array:
         translation: (..., 3) of it.
     """
     position = -np.einsum("...ij,...i->...j", rotation, translation)
-    azimuth: Array = np.arctan2(position[..., 2], position[..., 0])
-    return azimuth
+    return np.arctan2(position[..., 2], position[..., 0])
 
 
 def position_covariance(camera_T_object: Array, pose_covariance: Array) -> Array:

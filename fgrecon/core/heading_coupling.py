@@ -80,5 +80,4 @@ def traffic_directions(side: TrafficSide, location: Array, bins: int) -> Array:
     turned = np.cos(2.0 * np.pi * np.arange(bins) / bins - ahead)
     two_ways = (along * np.exp(_SHARP * turned) + (1.0 - along) * np.exp(-_SHARP * turned)) / np.i0(_SHARP)
     density = (_ACROSS + (1.0 - _ACROSS) * two_ways) ** _COUNTS
-    probability: Array = density / density.sum()
-    return probability
+    return density / density.sum()

@@ -279,8 +279,7 @@ def strays(observation: Observation, camera: Camera) -> list[tuple[NDArray[np.bo
 def _median(numbers: _Array) -> _Array:
     """Along the first axis: of few numbers in a fraction of numpy's time."""
     ordered, half = np.sort(numbers, axis=0), len(numbers) // 2
-    middle: _Array = ordered[half] if len(numbers) % 2 else (ordered[half - 1] + ordered[half]) / 2.0
-    return middle
+    return ordered[half] if len(numbers) % 2 else (ordered[half - 1] + ordered[half]) / 2.0
 
 
 def _check_rays(points: _Array, camera: Camera) -> None:
@@ -342,5 +341,4 @@ def _certain(observation: Observation) -> NDArray[np.bool_]:
 
 def _outside(points: _Array, least: _Array, most: _Array) -> NDArray[np.bool_]:
     """(N,) which points (N, 2) lie outside of a rectangle."""
-    outside: NDArray[np.bool_] = np.any((points < least) | (points > most), axis=1)
-    return outside
+    return np.any((points < least) | (points > most), axis=1)

@@ -51,14 +51,12 @@ def imaged(model: str, coefficients: Array, points: Array) -> Array:
 
 def _ratio(radius: Array, other: Array) -> Array:
     """(M, 1) how many times as far from the centre; 1 at the centre."""
-    ratio: Array = np.divide(radius, other, out=np.ones_like(other), where=other > 0.0)[:, None]
-    return ratio
+    return np.divide(radius, other, out=np.ones_like(other), where=other > 0.0)[:, None]
 
 
 def _radius(lens: Array, angle: Array) -> Array:
     square = angle**2
-    radius: Array = angle * (1.0 + square * (lens[0] + square * (lens[1] + square * (lens[2] + square * lens[3]))))
-    return radius
+    return angle * (1.0 + square * (lens[0] + square * (lens[1] + square * (lens[2] + square * lens[3]))))
 
 
 def _fisheye_ahead(lens: Array, points: Array) -> Array:
@@ -87,5 +85,4 @@ def _mei_ahead(lens: Array, points: Array) -> Array:
         along = (xi + np.sqrt(1.0 + (1.0 - xi**2) * square)) / (1.0 + square)  # from the sphere's centre
         depth = along - xi
         inside = depth > np.cos(_WIDEST)
-    found: Array = np.where(inside, along / np.where(inside, depth, 1.0), np.nan)[:, None] * flat
-    return found
+    return np.where(inside, along / np.where(inside, depth, 1.0), np.nan)[:, None] * flat

@@ -188,8 +188,7 @@ class Mask:
         first = np.flatnonzero(np.diff(row, prepend=-1))  # the ends of rows: of the convex hull no others are corners
         ends = np.unique(np.concatenate([first, np.append(first[1:], len(row)) - 1]))
         pixels = np.stack([column[ends], row[ends]], axis=1) + self.corner
-        found: NDArray[np.float64] = pixels[(pixels @ directions).argmax(axis=0)] + 0.5 * directions.T
-        return found
+        return pixels[(pixels @ directions).argmax(axis=0)] + 0.5 * directions.T
 
     @property
     def whole(self) -> NDArray[np.bool_]:

@@ -243,8 +243,7 @@ def _stretched(covariance: NDArray[np.float64], pixels: NDArray[np.float64], cam
     half = np.eye(2) / 2.0
     change = np.stack([camera.undistort(pixels + step) - camera.undistort(pixels - step) for step in half], axis=-1)
     change = np.where(np.abs(change).max(axis=(1, 2), keepdims=True) < _STEEP, change, np.eye(2))  # not where NaN
-    stretched: NDArray[np.float64] = change @ covariance @ change.swapaxes(1, 2)
-    return stretched
+    return change @ covariance @ change.swapaxes(1, 2)
 
 
 def as_directions(field: str, azimuth: ArrayLike) -> NDArray[np.float64]:

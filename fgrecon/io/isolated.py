@@ -106,8 +106,7 @@ class Isolated:
             raise InvalidInputError(source, "more than fits into memory", _FIX) from answer
         if not good:
             raise answer
-        result: T = answer
-        return result
+        return answer
 
     def _start(self) -> subprocess.Popen[bytes]:
         """The process, and a thread that speaks with it, so that an answer is waited for no longer than is allowed."""

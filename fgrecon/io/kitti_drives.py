@@ -70,8 +70,7 @@ class DriveFrame:
     def boxed(self) -> NDArray[np.bool_]:
         """(M,) whether each object has a 3D box in front of the camera; KITTI marks missing ones by -1 and -1000."""
         depth = self.objects.location[:, 2] + self.calibration.label_offset[2]
-        boxed: NDArray[np.bool_] = np.all(self.objects.size > 0.0, axis=1) & (depth > MIN_DEPTH)
-        return boxed
+        return np.all(self.objects.size > 0.0, axis=1) & (depth > MIN_DEPTH)
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,8 +68,7 @@ class Fragments:
 
     def interpolate(self, values: Array, faces: NDArray[np.integer]) -> Array:
         """(M, C) values at the fragments from values (V, C) at the vertices."""
-        result: Array = np.einsum("mi,mic->mc", self.weights, values[faces[self.face]])
-        return result
+        return np.einsum("mi,mic->mc", self.weights, values[faces[self.face]])
 
 
 def rasterise(vertices: Array, faces: NDArray[np.integer], matrix: Array, image_size: tuple[int, int]) -> Fragments:
@@ -181,8 +180,7 @@ def _supersampled(matrix: Array, factor: int) -> Array:
     """Intrinsics (3, 3) of the same camera with `factor` subpixels per pixel and axis."""
     # Pixel centres are at integers: the image spans [-0.5, W - 0.5] before and [-0.5, S W - 0.5] after.
     shift = np.array([[0.0, 0.0, 0.5 * (factor - 1.0)], [0.0, 0.0, 0.5 * (factor - 1.0)], [0.0, 0.0, 0.0]])
-    result: Array = matrix * np.array([[factor], [factor], [1.0]]) + shift
-    return result
+    return matrix * np.array([[factor], [factor], [1.0]]) + shift
 
 
 def pixel_rays(matrix: Array, image_size: tuple[int, int]) -> Array:
@@ -190,8 +188,7 @@ def pixel_rays(matrix: Array, image_size: tuple[int, int]) -> Array:
     width, height = image_size
     u, v = np.meshgrid(np.arange(width), np.arange(height))
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(matrix).T
-    unit: Array = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-    return unit
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
 def sky(directions: Array) -> Array:
@@ -199,8 +196,7 @@ def sky(directions: Array) -> Array:
     up = -directions[..., 1:2]
     above = _HORIZON + (_ZENITH - _HORIZON) * np.clip(up, 0.0, 1.0) ** 0.5
     below = np.clip(-up * 12.0, 0.0, 1.0)
-    colour: Array = above + (_EARTH - above) * below
-    return colour
+    return above + (_EARTH - above) * below
 
 
 def to_rgb(linear: Array) -> NDArray[np.uint8]:

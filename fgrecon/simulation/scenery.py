@@ -131,16 +131,14 @@ def with_shadow(background: Array, camera: Camera, camera_T_object: Array, lengt
     dx, dz = np.abs(x) - 0.5 * length + 0.3, np.abs(z) - 0.5 * width + 0.3
     distance = np.hypot(np.maximum(dx, 0.0), np.maximum(dz, 0.0)) + np.minimum(np.maximum(dx, dz), 0.0) - 0.3
     t = np.clip((0.30 - distance) / 0.55, 0.0, 1.0)
-    shaded: Array = background * (1.0 - 0.85 * (t * t * (3.0 - 2.0 * t)))[..., None]
-    return shaded
+    return background * (1.0 - 0.85 * (t * t * (3.0 - 2.0 * t)))[..., None]
 
 
 def _box(length: float, width: float, top: float, bottom: float) -> Array:
     """(24, 3) corners of a box about the y axis, each once per side that it belongs to, so that edges are sharp."""
     x, z = 0.5 * length, 0.5 * width
     corners = np.array([[i, j, k] for i in (-x, x) for j in (top, bottom) for k in (-z, z)])
-    sides: Array = corners[np.array([0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3])]
-    return sides
+    return corners[np.array([0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3])]
 
 
 _BOX_FACES = np.array([[4 * side + i for i in t] for side in range(6) for t in ((0, 1, 2), (0, 2, 3))], dtype=np.int32)

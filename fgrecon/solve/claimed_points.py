@@ -46,8 +46,7 @@ def inside(points: Array, end: MultiStartResult) -> NDArray[np.bool_]:
     length, width, height = model.dimension_mean + model.dimension_basis @ coefficients
     local = (points - pose[:3, 3]) @ pose[:3, :3] + np.array([0.0, height / 2.0, 0.0])
     reach = np.array([length, height, width]) / 2.0 + POINTS.claimed_margin_m
-    within: NDArray[np.bool_] = np.all(np.abs(local) < reach, axis=1)
-    return within
+    return np.all(np.abs(local) < reach, axis=1)
 
 
 def _picture_energy(end: MultiStartResult) -> float:

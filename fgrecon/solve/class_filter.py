@@ -99,5 +99,4 @@ def _shape(shape: ShapeValues, before: VehicleModel, model: VehicleModel) -> Sha
 def _coefficients(coefficients: Array, before: VehicleModel, model: VehicleModel) -> Array:
     """(N,) those of the model's shape that is most like that of the model before."""
     found, _ = express(model.prior, before.prior.keypoints(coefficients)[None])
-    nearest: Array = np.clip(found[0], -SETTINGS.farthest_coefficient, SETTINGS.farthest_coefficient)
-    return nearest
+    return np.clip(found[0], -SETTINGS.farthest_coefficient, SETTINGS.farthest_coefficient)

@@ -203,5 +203,4 @@ def _place(seen: Observation, camera: Camera, prior: ShapePrior) -> Array | None
     corners = np.array([points.min(axis=0), points.max(axis=0)]) if seen.box is None else seen.box.reshape(2, 2)
     _, _, height = np.tensordot(prior.category.dimension_operator, prior.mean, axes=2)
     depth = float(height) * float(camera.matrix[1, 1]) / max(float(corners[1, 1] - corners[0, 1]), 1.0)
-    place: Array = depth * camera.rays(corners.mean(axis=0)[None])[0]
-    return place
+    return depth * camera.rays(corners.mean(axis=0)[None])[0]

@@ -178,8 +178,7 @@ def ground_lines(
     along = np.array([[(x, _GRID_NEAREST), (x, ahead[-1])] for x in sideways])
     beside = np.array([[(sideways[0], z), (sideways[-1], z)] for z in ahead])
     spots = np.concatenate([along, beside])
-    lines: NDArray[np.float64] = ground.distance * down + spots[..., :1] * right + spots[..., 1:] * forward
-    return lines
+    return ground.distance * down + spots[..., :1] * right + spots[..., 1:] * forward
 
 
 def level_axes(ground: Ground | None) -> NDArray[np.float64]:
@@ -201,8 +200,7 @@ def ellipse(covariance: NDArray[np.float64], radius: float, points: int = 48) ->
     values, vectors = np.linalg.eigh(covariance)
     angles = np.linspace(0.0, 2 * np.pi, points, endpoint=False)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    outline: NDArray[np.float64] = radius * circle * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-    return outline
+    return radius * circle * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
 
 
 def face_outlines(
@@ -242,8 +240,7 @@ def medial_outlines(keypoints: NDArray[np.float64], pairs: NDArray[np.int64]) ->
     extents = (keypoints - middle[:, None]) @ axes.transpose(0, 2, 1)
     low, high = extents.min(axis=1), extents.max(axis=1)
     corners = np.stack([low, np.stack([high[:, 0], low[:, 1]], 1), high, np.stack([low[:, 0], high[:, 1]], 1)], axis=1)
-    outline: NDArray[np.float64] = middle[:, None] + corners @ axes
-    return outline
+    return middle[:, None] + corners @ axes
 
 
 def fan(corners: int) -> tuple[tuple[int, int, int], ...]:

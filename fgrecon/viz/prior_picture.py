@@ -73,8 +73,7 @@ def prior_picture(prior: ShapePrior, modes: int | None = None) -> Any:
 def _extremes(prior: ShapePrior, count: int) -> NDArray[np.float64]:
     """(2, count + 1, K, 3) shapes at -2 and +2 of the mean (no change) and of each mode."""
     change = np.concatenate([np.zeros((1, *prior.mean.shape)), prior.basis[:count]])
-    shapes: NDArray[np.float64] = prior.mean + MODE_RANGE * np.array([-1.0, 1.0])[:, None, None, None] * change
-    return shapes
+    return prior.mean + MODE_RANGE * np.array([-1.0, 1.0])[:, None, None, None] * change
 
 
 def _flat(points: NDArray[np.float64], view: tuple[int, int, int, int]) -> NDArray[np.float64]:

@@ -100,8 +100,7 @@ def weight_colours(weights: ArrayLike) -> NDArray[np.uint8]:
     values = np.clip(np.nan_to_num(np.asarray(weights, dtype=np.float64)), 0.0, 1.0)
     at = np.linspace(0.0, 1.0, len(_WEIGHT_MAP))
     channels = [np.interp(values, at, channel) for channel in _WEIGHT_MAP.T]
-    colours: NDArray[np.uint8] = np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
-    return colours
+    return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
 
 
 def weight_radii(weights: ArrayLike, smallest: float = 2.5, largest: float = 6.0) -> NDArray[np.float64]:
@@ -123,8 +122,7 @@ def readable(colours: ArrayLike) -> NDArray[np.uint8]:
     linear = linear + lighter[..., None] * (1.0 - linear)
     linear = linear * (lightest / np.maximum(luminance, lightest))[..., None]
     unit = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    legible: NDArray[np.uint8] = np.rint(255.0 * unit).astype(np.uint8)
-    return legible
+    return np.rint(255.0 * unit).astype(np.uint8)
 
 
 def categorical(index: int) -> Colour:

@@ -77,15 +77,12 @@ class Plates:
 
     def _extent(self) -> NDArray[np.float64]:
         """(2,) size of the panel in points."""
-        size: NDArray[np.float64] = self.axes.get_position().size * self.axes.figure.get_size_inches() * 72.0
-        return size
+        return self.axes.get_position().size * self.axes.figure.get_size_inches() * 72.0
 
     def _points(self, coordinates: NDArray[np.float64]) -> NDArray[np.float64]:
         (x1, x2), (y1, y2) = self.axes.get_xlim(), self.axes.get_ylim()
-        placed: NDArray[np.float64] = (coordinates - (x1, y1)) / (x2 - x1, y2 - y1) * self._extent()
-        return placed
+        return (coordinates - (x1, y1)) / (x2 - x1, y2 - y1) * self._extent()
 
     def _coordinates(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         (x1, x2), (y1, y2) = self.axes.get_xlim(), self.axes.get_ylim()
-        placed: NDArray[np.float64] = points / self._extent() * (x2 - x1, y2 - y1) + (x1, y1)
-        return placed
+        return points / self._extent() * (x2 - x1, y2 - y1) + (x1, y1)

@@ -28,8 +28,7 @@ class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # no types are installed
 
 
 def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
-    content: dict[Any, Any] = loader.construct_mapping(node, deep=True)
-    return content
+    return loader.construct_mapping(node, deep=True)
 
 
 for _name in ("opencv-matrix", "opencv-nd-matrix"):

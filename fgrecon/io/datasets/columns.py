@@ -39,8 +39,7 @@ class Columns:
         column = self.table.column(name)
         if column.null_count:
             raise InvalidInputError(f"{self.where}{name}", f"{column.null_count} empty values", "Give all of them.")
-        found: list[Any] = column.to_pylist()
-        return found
+        return column.to_pylist()
 
     def numbers(self, *names: str) -> Array:
         """(N, len(names)) of columns.

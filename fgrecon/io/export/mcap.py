@@ -333,8 +333,7 @@ def _probabilities(result: Reconstruction) -> Array:
         return np.array([own, *(other.probability for other in result.uncertainty.alternatives)])
     excess = np.array([0.0, *(other.excess for other in result.uncertainty.alternatives)])
     odds = np.where(np.isnan(excess), 0.0, np.exp(-np.nan_to_num(excess)))
-    shares: Array = odds / odds.sum()
-    return shares
+    return odds / odds.sum()
 
 
 def pose_covariance(item: NamedResult, info: ImageInfo) -> Array:

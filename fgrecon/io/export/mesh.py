@@ -32,8 +32,7 @@ def ply_bytes(results: Sequence[NamedResult]) -> bytes:
     import trimesh
 
     meshes = [mesh for item in _solved(results) for _, mesh in _parts(item)]
-    content: bytes = trimesh.util.concatenate(meshes).export(file_type="ply")
-    return content
+    return trimesh.util.concatenate(meshes).export(file_type="ply")
 
 
 def glb_bytes(results: Sequence[NamedResult], models: Mapping[str, VehicleMesh] | None = None) -> bytes:
@@ -55,8 +54,7 @@ def glb_bytes(results: Sequence[NamedResult], models: Mapping[str, VehicleMesh] 
         for part, mesh in _parts(item, (models or {}).get(item.name)):
             name = f"{vehicle}/{part}"
             scene.add_geometry(mesh, node_name=name, geom_name=name, transform=_UPRIGHT)
-    content: bytes = trimesh.exchange.gltf.export_glb(scene, tree_postprocessor=_paint)
-    return content
+    return trimesh.exchange.gltf.export_glb(scene, tree_postprocessor=_paint)
 
 
 def _paint(tree: dict[str, Any]) -> None:

@@ -86,8 +86,7 @@ def _softened(probability: Array, sharpness: float, doubt: float) -> Array:
     if sharpness == 1.0 and doubt == 0.0:
         return probability
     power = np.clip(probability, _TINY**2, None) ** sharpness
-    mixed: Array = (1.0 - doubt) * power / power.sum(axis=1, keepdims=True) + doubt / power.shape[1]
-    return mixed
+    return (1.0 - doubt) * power / power.sum(axis=1, keepdims=True) + doubt / power.shape[1]
 
 
 def left_probability(azimuth: Array) -> float:
@@ -120,8 +119,7 @@ def log_softmax(logits: NDArray[np.floating]) -> Array:
     """Over the last axis."""
     shifted = np.asarray(logits, dtype=np.float64)
     shifted = shifted - shifted.max(axis=-1, keepdims=True)
-    result: Array = shifted - np.log(np.exp(shifted).sum(axis=-1, keepdims=True))
-    return result
+    return shifted - np.log(np.exp(shifted).sum(axis=-1, keepdims=True))
 
 
 def softmax(logits: NDArray[np.floating]) -> Array:

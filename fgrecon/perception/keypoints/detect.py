@@ -313,8 +313,7 @@ def as_rgb8(image: NDArray[Any]) -> NDArray[np.uint8]:
 def large_enough(boxes: Array) -> NDArray[np.bool_]:
     """Whether there are keypoints to see in boxes (..., 4): sides that are longer than 0, one of `SMALLEST_BOX`."""
     sides = boxes[..., 2:] - boxes[..., :2]
-    large: NDArray[np.bool_] = (sides > 0.0).all(axis=-1) & (sides.max(axis=-1) >= SMALLEST_BOX)
-    return large
+    return (sides > 0.0).all(axis=-1) & (sides.max(axis=-1) >= SMALLEST_BOX)
 
 
 def check_box(box: Array, image: NDArray[np.uint8], field: str = "box") -> None:

@@ -29,8 +29,7 @@ def cut_patches(crops: NDArray[np.uint8], corners: NDArray[np.int64]) -> NDArray
     edged = np.pad(crops, ((0, 0), (PATCH, PATCH), (PATCH, PATCH), (0, 0)), mode="edge")
     column, row = np.moveaxis(np.clip(corners, -PATCH, size) + PATCH, -1, 0)  # further out there is nothing but edge
     many = np.arange(len(crops))[:, None, None]
-    patches: NDArray[np.uint8] = sliding_window_view(edged, (PATCH, PATCH), axis=(1, 2))[many, row, column]
-    return patches
+    return sliding_window_view(edged, (PATCH, PATCH), axis=(1, 2))[many, row, column]
 
 
 def fuse(
@@ -93,8 +92,7 @@ def window_of(likelihood: Array, centres: NDArray[np.int64], size: int) -> Array
     x, y = np.moveaxis(part[..., None], -2, 0)
     along = logs[b, k, column] * (1 - x) + logs[b, k, column + 1] * x  # (B, K, W, cells)
     along = np.ascontiguousarray(along.swapaxes(2, 3))
-    result: Array = along[b, k, row] * (1 - y) + along[b, k, row + 1] * y
-    return result
+    return along[b, k, row] * (1 - y) + along[b, k, row + 1] * y
 
 
 def run_networks(network: Network, patches: NDArray[np.uint8]) -> Array:

@@ -167,8 +167,7 @@ def open_session(model: bytes, threads: int, device: str = "cpu") -> Network:
     (entry,) = session.get_inputs()
 
     def run(values: NDArray[Any]) -> Sequence[NDArray[np.float32]]:
-        outputs: Sequence[NDArray[np.float32]] = session.run(None, {entry.name: np.ascontiguousarray(values)})
-        return outputs
+        return session.run(None, {entry.name: np.ascontiguousarray(values)})
 
     return run
 

@@ -36,8 +36,7 @@ class Anderson:
         if self._changes is None or self._moves is None:
             return None
         if self._kernel is not None:
-            mixed: Array | None = self._kernel.accelerated(self._changes, self._moves, step, NEWTON.acceleration_ridge)
-            return mixed
+            return self._kernel.accelerated(self._changes, self._moves, step, NEWTON.acceleration_ridge)
         return _accelerated(self._changes, self._moves, step)
 
     def took(self, step: Array) -> None:

@@ -138,8 +138,7 @@ def _lengthen(derivatives: Array, L: Array, directions: Array) -> Array:
     quartic = _parts(derivatives, L, directions)[0] - quadratic
     falls = (quadratic < 0) & (quartic > 0)
     length = np.sqrt(-quadratic[falls] / (2 * quartic[falls]))
-    lengthened: Array = directions[falls] * length[:, None]
-    return lengthened
+    return directions[falls] * length[:, None]
 
 
 def _descend(derivatives: Array, L: Array, q: Array) -> Array:
@@ -244,8 +243,7 @@ def _multiplication(null_space: Array) -> Array:
 
 def _solve_upper(triangle: Array, right: Array, *, unit: int) -> Array:
     """Solve with an upper triangular matrix (LAPACK, without scipy's checks)."""
-    solution: Array = lapack().dtrtrs(triangle, right, unitdiag=unit)[0]
-    return solution
+    return lapack().dtrtrs(triangle, right, unitdiag=unit)[0]
 
 
 @dataclass(frozen=True)

@@ -120,5 +120,4 @@ def _squared_distances(energy: PoseEnergy, camera_T_object: Array) -> Array:
     """(K,) squared Mahalanobis distances of the mean shape's residuals at a pose."""
     dimension = len(energy.keypoints.basis)
     one = Hypotheses(camera_T_object[None, :3, :3], camera_T_object[None, :3, 3], np.zeros((1, dimension)))
-    squared: Array = np.square(energy.keypoints.residuals(one)[0][0]).sum(axis=-1)
-    return squared
+    return np.square(energy.keypoints.residuals(one)[0][0]).sum(axis=-1)

@@ -181,8 +181,7 @@ def _about(given: Points, box: Array, camera: Camera) -> NDArray[np.intp]:
     index = index[(row[index] > box[1] - margin) & (row[index] < box[3] + margin)]
     index = index[depth[index] > max(nearest, MIN_DEPTH)]
     _, first = np.unique(cell[index], return_index=True)
-    thinned: NDArray[np.intp] = index[np.sort(first)]
-    return thinned
+    return index[np.sort(first)]
 
 
 @lru_cache(maxsize=4)  # all vehicles of an image ask for the same

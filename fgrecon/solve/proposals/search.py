@@ -57,10 +57,8 @@ class PoseEnergy:
     def visible_from(self, camera_T_object: Array) -> Array:
         """(K,) visibility of the keypoints from a pose (4, 4)."""
         if self.compiled is not None:
-            compiled: Array = self.compiled.visible_from(camera_T_object)
-            return compiled
-        visible: Array = self.visibility(camera_T_object[None])[0]
-        return visible
+            return self.compiled.visible_from(camera_T_object)
+        return self.visibility(camera_T_object[None])[0]
 
     @property
     def others(self) -> Iterator[_Summand]:
@@ -248,8 +246,7 @@ def _damped_step(total: Quadratic, damping: Array) -> Array:
     matrix[:, index, index] += SETTINGS.ridge
     step = -np.linalg.solve(matrix, total.gradient[..., None])[..., 0]
     turn = np.sqrt(np.square(step[:, :3]).sum(axis=1))
-    scaled: Array = step * np.minimum(1.0, SETTINGS.largest_turn_radians / np.maximum(turn, 1e-12))[:, None]
-    return scaled
+    return step * np.minimum(1.0, SETTINGS.largest_turn_radians / np.maximum(turn, 1e-12))[:, None]
 
 
 def _retract(h: Hypotheses, step: Array) -> Hypotheses:

@@ -260,8 +260,7 @@ class DirectionTerm:
         """(A,) probability of each direction, relative to the greatest, with what the detector may be wrong by."""
         meaningless = SETTINGS.direction_meaningless_probability
         probability = (1.0 - meaningless) * self.azimuth + meaningless / len(self.azimuth)
-        relative: Array = probability / probability.max()
-        return relative
+        return probability / probability.max()
 
     def energy(self, h: Hypotheses) -> Array:
         """(H,) energies of the hypotheses, nats."""

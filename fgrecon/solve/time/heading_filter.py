@@ -259,8 +259,7 @@ def _kernel_product(probability: Array, seconds: float, turn: float) -> Array:
     """Turned, blurred, and with a little of everything."""
     smooth = np.maximum(_turned(seconds, turn) @ probability, 0.0)
     elsewhere = min(SETTINGS.jump_probability_per_s * seconds, 0.5)
-    result: Array = (1.0 - elsewhere) * smooth / smooth.sum() + elsewhere / _BINS
-    return result
+    return (1.0 - elsewhere) * smooth / smooth.sum() + elsewhere / _BINS
 
 
 @lru_cache(maxsize=64)  # the steps of a window come again with the next frame, for each vehicle

@@ -66,8 +66,7 @@ def _by_unknown_camera(
 
 def _walk(change: Sequence[float], seconds: float, share: float) -> Array:
     """(3,) standard deviation of a velocity's change, for that in a second."""
-    sigmas: Array = np.array(change) * np.sqrt(seconds) / np.sqrt(share)
-    return sigmas
+    return np.array(change) * np.sqrt(seconds) / np.sqrt(share)
 
 
 def _between(

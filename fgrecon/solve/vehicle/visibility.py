@@ -84,8 +84,7 @@ def clearance(
         k, value = _hits(u * inverse, v * inverse, inverse, faces, x / depth, y / depth)
         nearest = depth.copy()
         np.minimum.at(nearest, k, 1.0 / value)
-    behind: NDArray[np.float64] = (1.0 - nearest / depth) * np.sqrt((rays * rays).sum(axis=1))
-    return behind
+    return (1.0 - nearest / depth) * np.sqrt((rays * rays).sum(axis=1))
 
 
 def cast(
@@ -221,8 +220,7 @@ def _parallel_clearance(
     k, hit = _hits(u, v, z, faces, x, y)
     nearest = depth.copy()
     np.minimum.at(nearest, k, hit)
-    behind: NDArray[np.float64] = depth - nearest
-    return behind
+    return depth - nearest
 
 
 def _view_frame(axis: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -54,8 +54,7 @@ def in_box(points: Array, camera: Camera, box: Array) -> Array:
 
 def _box(looked: LookedFrame, look: Looked) -> Array:
     assert look.label is not None
-    box: Array = looked.frame.objects.box[look.label]
-    return box
+    return looked.frame.objects.box[look.label]
 
 
 def _score(looked: LookedFrame, look: Looked, points: Array) -> Mapping[str, BoxOutcome]:

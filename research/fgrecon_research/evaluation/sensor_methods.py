@@ -161,5 +161,4 @@ def inside_label(frame: DriveFrame, index: int, points: Array) -> NDArray[np.boo
     length, width, height = labels.size[index]
     local = (points - labels.location[index]) @ yaw_rotation(float(labels.rotation_y[index]))
     middle, half = np.array([0.0, -height / 2.0, 0.0]), np.array([length, height, width]) / 2.0
-    inside: NDArray[np.bool_] = np.all(np.abs(local - middle) <= half, axis=1)
-    return inside
+    return np.all(np.abs(local - middle) <= half, axis=1)

@@ -198,8 +198,7 @@ def _rotation(a: float, b: float, c: float) -> Array:
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, ca, -sa], [0.0, sa, ca]])
     about_y = np.array([[cb, 0.0, sb], [0.0, 1.0, 0.0], [-sb, 0.0, cb]])
     about_z = np.array([[cc, -sc, 0.0], [sc, cc, 0.0], [0.0, 0.0, 1.0]])
-    rotation: Array = about_z @ about_y @ about_x
-    return rotation
+    return about_z @ about_y @ about_x
 
 
 def _metres_off(car: MarkedCar, camera: Camera, heights: Array) -> Array:
@@ -207,8 +206,7 @@ def _metres_off(car: MarkedCar, camera: Camera, heights: Array) -> Array:
     rotation, origin = car.camera_T_object[:3, :3], car.camera_T_object[:3, 3]
     points = car.shape @ rotation.T + origin + heights[:, None, None] * rotation[:, 1]
     pixels = np.linalg.norm(camera.project(points) - car.keypoints, axis=2)
-    off: Array = pixels * points[..., 2] / camera.matrix[0, 0]
-    return off
+    return pixels * points[..., 2] / camera.matrix[0, 0]
 
 
 def _lowered(car: MarkedCar, height: float, camera: Camera) -> MarkedCar:

@@ -313,8 +313,7 @@ def _evaluate(name: str, example: Icra2017Example, prior: ShapePrior, options: O
 
 def _centre(camera_T_object: Array, size: Array) -> Array:
     """(3,) centre of a box standing on the object's origin, camera frame."""
-    centre: Array = camera_T_object[:3, 3] - camera_T_object[:3, 1] * size[2] / 2.0
-    return centre
+    return camera_T_object[:3, 3] - camera_T_object[:3, 1] * size[2] / 2.0
 
 
 def _label_centre(example: Icra2017Example) -> Array:

@@ -11,12 +11,11 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from fgrecon.cli.options import JsonOption, WeightsOption, fitting_names
 from fgrecon.cli.outputs import check_outputs
-from fgrecon.cli.terminal import Advance, Screen, Terminal, stepwise
+from fgrecon.cli.terminal import Advance, Screen, Terminal, headed_table, stepwise
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.core.parsing import parse_numbers
@@ -261,7 +260,7 @@ _SIZES = (0.0, 60.0, 120.0)  # pixels of the box's longer side from which street
 
 def print_marks(screen: Screen, scored: Sequence[Scored], names: Sequence[str]) -> None:
     """Tables of the shares of visible keypoints that are found, by group, by size, by keypoint, and by confidence."""
-    table = _table("group", "cars", "points", "PCK 0.1", "PCK 0.05", "median %")
+    table = headed_table("group", "cars", "points", "PCK 0.1", "PCK 0.05", "median %")
     for name, groups in GROUPS.items():
         _row(table, name, localisation(scored, groups))
     _row(table, "hard alone", localisation(scored, ("hard",)))
@@ -270,7 +269,7 @@ def print_marks(screen: Screen, scored: Sequence[Scored], names: Sequence[str]) 
     screen.print(table)
     for name, groups in (("photographs", GROUPS["photographs"]), ("street", GROUPS["hard"])):
         result = localisation(scored, groups)
-        by_keypoint = _table(f"{name}, by keypoint", "points", "PCK 0.1", "PCK 0.05", "APK 0.1", "APK 0.05")
+        by_keypoint = headed_table(f"{name}, by keypoint", "points", "PCK 0.1", "PCK 0.05", "APK 0.1", "APK 0.05")
         for keypoint, point in enumerate(names):
             shares = [*result.keypoints[keypoint], *result.precisions[keypoint]]
             by_keypoint.add_row(point, *_shares(int(result.counts[keypoint]), shares))
@@ -280,7 +279,7 @@ def print_marks(screen: Screen, scored: Sequence[Scored], names: Sequence[str]) 
         )
         screen.print(by_keypoint)
     found = marks_reliability(scored)
-    by_confidence = _table("confidence", "right", "points")
+    by_confidence = headed_table("confidence", "right", "points")
     for sure, right, count in zip(found.confidence, found.right, found.count, strict=True):
         by_confidence.add_row(f"{sure:.2f}", f"{right:.2f}", str(count))
     screen.print(by_confidence)
@@ -322,7 +321,7 @@ def after_adjustment(screen: Screen, scored: Sequence[Scored], data: Path) -> di
     """Marks again after pose and shape adjustment; street cars with KITTI's ground, fleet and boxes."""
     found = adjust_marked(scored, data, progress=screen.watch)
     after = adjusted(scored, [None if result is None else result.pose.wireframe_uv for result in found])
-    table = _table("after adjustment", "cars", "points", "PCK 0.1", "PCK 0.05", "median %")
+    table = headed_table("after adjustment", "cars", "points", "PCK 0.1", "PCK 0.05", "median %")
     results = {name: localisation(after, groups) for name, groups in GROUPS.items()}
     for name, result in results.items():
         _row(table, name, result)
@@ -381,13 +380,6 @@ class TrainingDisplay:
     def progress(self, things: Sequence[Any], heading: str) -> Iterable[Any]:
         """Go through some things and show how far that has come."""
         return stepwise(things, heading, self._advance)
-
-
-def _table(*headings: str) -> Table:
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if number else "left")
-    return table
 
 
 def _shares(count: int, shares: Sequence[float]) -> list[str]:

@@ -15,13 +15,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from fgrecon.calibration.selection import LeftOut, Reason, Selection
 from fgrecon.cli.options import FLEETS, GroundOption, JsonOption, PriorOption, WeightsOption
 from fgrecon.cli.outputs import check_outputs
-from fgrecon.cli.terminal import Screen, Terminal, stepwise
+from fgrecon.cli.terminal import Screen, Terminal, headed_table, stepwise
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.parsing import parse_ground
 from fgrecon.core.shape_prior import ShapePrior
@@ -279,9 +277,8 @@ def labels_of(
 
 def show(screen: Screen, done: Sequence[Labelled], labels: VehicleLabels) -> None:
     """Tables of what was labelled, and of what was not."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading in ("drive", "vehicles", "images", "labels", "visible", "hidden", "outside", "left out", "s a label"):
-        table.add_column(heading, justify="right" if heading != "drive" else "left")
+    headings = "drive", "vehicles", "images", "labels", "visible", "hidden", "outside", "left out", "s a label"
+    table = headed_table(*headings)
     rows = [_counts(one, labels) for one in done]
     for row in (*rows, *([_total(rows)] if len(rows) > 1 else [])):
         each = row["seconds"] / row["labels"] if row["labels"] else np.nan
@@ -289,9 +286,7 @@ def show(screen: Screen, done: Sequence[Labelled], labels: VehicleLabels) -> Non
     screen.print(table)
     reasons = _reasons([left for one in done for left in one.left])
     if reasons:
-        why = Table(box=SIMPLE_HEAD, pad_edge=False)
-        why.add_column("left out because")
-        why.add_column("objects", justify="right")
+        why = headed_table("left out because", "objects")
         for reason, count in reasons.items():
             why.add_row(reason, str(count))
         screen.print(why)

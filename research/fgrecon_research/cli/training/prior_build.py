@@ -12,7 +12,7 @@ from rich.table import Table
 
 from fgrecon.cli.options import PRIORS, DrivesArgument, JsonOption, PriorArgument
 from fgrecon.cli.outputs import check_outputs
-from fgrecon.cli.terminal import Quiet, Terminal
+from fgrecon.cli.terminal import Quiet, Terminal, headed_table
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.catalogue import load_category, load_prior, save_prior
@@ -103,9 +103,8 @@ def _of_marks(data: Path, models: Apollo79, category: str, basis: int, exclude: 
 
 
 def _leave_one_out_table(results: list[LeaveOneOut]) -> Table:
-    table = Table(title="Cars held out one by one, expressed by the others' first vectors")
-    for heading in ("vectors", "variance %", "keypoint RMS cm", "keypoint median cm", "vertex RMS cm"):
-        table.add_column(heading, justify="right")
+    headings = "vectors", "variance %", "keypoint RMS cm", "keypoint median cm", "vertex RMS cm"
+    table = headed_table(*headings, left=0, title="Cars held out one by one, expressed by the others' first vectors")
     for row in results:
         lengths = (row.keypoint_rms, row.keypoint_median, row.vertex_rms)
         table.add_row(str(row.basis), f"{100 * row.explained:.1f}", *(f"{100 * length:.1f}" for length in lengths))
@@ -128,9 +127,8 @@ def compare_command(
     a, b = load_prior(first), load_prior(second)
     result = compare_priors(a, b)
     screen = terminal.screen(json_out)
-    table = Table(title=f"Mean of {a.name}, scaled by {result.scale:.3f}, less mean of {b.name} (cm)")
-    for heading in ("keypoint", "forward", "down", "left", "distance"):
-        table.add_column(heading, justify="left" if heading == "keypoint" else "right")
+    title = f"Mean of {a.name}, scaled by {result.scale:.3f}, less mean of {b.name} (cm)"
+    table = headed_table("keypoint", "forward", "down", "left", "distance", title=title)
     for name, difference, distance in zip(result.keypoints, result.differences, result.distances, strict=True):
         table.add_row(name, *(f"{100 * x:+.1f}" for x in difference), f"{100 * distance:.1f}")
     screen.print(table)

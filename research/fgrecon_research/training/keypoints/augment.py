@@ -321,13 +321,11 @@ def _dull(canvas: Pixels, rng: np.random.Generator) -> Pixels:
 
 
 def _bytes(values: NDArray[Any]) -> Pixels:
-    clipped: Pixels = np.clip(values, 0, 255).astype(np.uint8)
-    return clipped
+    return np.clip(values, 0, 255).astype(np.uint8)
 
 
 def _beyond(border: tuple[str, float], size: int) -> NDArray[np.bool_]:
     """(S, S) which pixels lie outside the image."""
     side, at = border
     row, column = np.mgrid[:size, :size]
-    outside: NDArray[np.bool_] = {"left": column < at, "right": column > at, "bottom": row > at}[side]
-    return outside
+    return {"left": column < at, "right": column > at, "bottom": row > at}[side]

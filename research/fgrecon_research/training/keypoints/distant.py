@@ -54,8 +54,7 @@ class DistantView:
         width, height = self.car.size
         column, row = np.clip(np.rint(keypoints).astype(int), 0, [width - 1, height - 1]).T
         near = cv2.dilate(self.valid.astype(np.uint8), np.ones((_NEAR, _NEAR), dtype=np.uint8))
-        believed: NDArray[np.bool_] = near[row, column] > 0
-        return believed
+        return near[row, column] > 0
 
 
 def random_distant_view(
@@ -213,5 +212,4 @@ def _shown(car: PosedCar, points: Array, pixels: Array, depth: Array) -> NDArray
     inside = ((at >= 0) & (at < [width, height])).all(axis=1)
     column, row = np.clip(at, 0, [width - 1, height - 1]).T
     behind = points @ car.rotation[2] + car.translation[2] - depth[row, column]
-    shown: NDArray[np.bool_] = inside & (behind <= _BEHIND)
-    return shown
+    return inside & (behind <= _BEHIND)

@@ -103,8 +103,7 @@ class OnnxGraph:
             opset_imports=[helper.make_opsetid("", _OPSET)],
         )
         checker.check_model(model, full_check=True)
-        content: bytes = model.SerializeToString(deterministic=True)
-        return content
+        return model.SerializeToString(deterministic=True)
 
 
 _FILES = {"models/nanodet.json": 2**20, "models/nanodet.bin": 2**24}  # most bytes that are read

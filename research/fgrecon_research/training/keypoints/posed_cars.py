@@ -137,5 +137,4 @@ def groups(cars: Sequence[PosedCar]) -> dict[str, list[int]]:
 def _nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """The file's six digits leave rotations slightly off."""
     u, _, vt = np.linalg.svd(matrix)
-    rotation: NDArray[np.float64] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return rotation
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

@@ -163,8 +163,7 @@ def _support(difference: Array, covariance: Array, weights: Array) -> Array:
     distance = np.sqrt(np.einsum("mki,mkij,mkj->mk", difference, np.linalg.inv(covariance), difference))
     # GTSAM's loss sees the distance times the root of the weight, as its noise models do.
     agrees = _LOSS.weights(distance * np.sqrt(weights)) > 0.5
-    support: Array = (weights * agrees).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-9)
-    return support
+    return (weights * agrees).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-9)
 
 
 def without_bias(

@@ -74,8 +74,7 @@ def resized(model: bytes, side: int) -> bytes:
     for size in sizes.values():
         scaled = numpy_helper.to_array(size) * side // _TRAINED_SIDE
         size.CopyFrom(numpy_helper.from_array(scaled.astype(np.int64)))
-    result: bytes = loaded.SerializeToString()
-    return result
+    return loaded.SerializeToString()
 
 
 def in_order(cars: Sequence[PosedCar], each: int) -> list[PosedCar]:

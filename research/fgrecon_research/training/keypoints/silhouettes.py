@@ -217,8 +217,7 @@ def contradicted(outlines: Sequence[Outline | None], keypoints: Array, mirror: N
     if len(away) < _ENOUGH:
         return np.zeros(len(mirror), dtype=bool)
     outside = np.maximum(away, away[:, mirror]) > _OUTSIDE
-    result: NDArray[np.bool_] = outside.mean(axis=0) > _CONTRADICTED
-    return result
+    return outside.mean(axis=0) > _CONTRADICTED
 
 
 def _signed_distance(mask: NDArray[np.uint8]) -> Array:

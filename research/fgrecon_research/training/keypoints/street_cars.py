@@ -90,8 +90,7 @@ class StreetCars(Views):
         weight = azimuth_weights(self.azimuth, chosen, *_EVEN) / np.sqrt(count[which])
         weight = weight * np.where(np.abs(wrap_angle(self.azimuth[chosen])) > np.pi / 2.0, _REAR, 1.0)
         weight = weight * np.where(self.kinds[chosen] == "Car", 1.0, _OTHER)
-        probability: Array = weight / weight.sum()
-        return probability
+        return weight / weight.sum()
 
 
 @dataclass(frozen=True, eq=False)

@@ -92,5 +92,4 @@ def azimuth_weights(azimuth: Array, chosen: NDArray[np.intp], strength: float = 
     count = np.bincount(which, minlength=_BINS // 2).astype(np.float64)
     smooth = np.convolve(np.pad(count, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
     weight = np.minimum((smooth.max() / np.maximum(smooth, 1e-9)) ** strength, limit)[which]
-    probability: Array = weight / weight.sum()
-    return probability
+    return weight / weight.sum()
