@@ -1,4 +1,4 @@
-"""Make the generated tables of the documentation again: docs/tables/*.md, each headed by the command that made it.
+"""Make the tables of docs/tables again, each headed by its command, commit and machine.
 
     python docs/measure.py --data DATA [NAME...]
 
@@ -21,12 +21,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from results import commit
 
 from fgrecon import Options, Tracker
 from fgrecon.core.metrics import orientation_error
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.track_file import GroundTruth, read_track
 from fgrecon_research.evaluation.measures import THRESHOLDS, orientation_precision
+from fgrecon_research.evaluation.report import machine
 
 TABLES = Path(__file__).parent / "tables"
 TOLD = {"+size": ["--size-prior", "kitti"], "+ground+size": ["--size-prior", "kitti", "--camera-height", "1.65"]}
@@ -254,9 +256,8 @@ def main() -> None:
     for name in arguments.names or MADE:
         with tempfile.TemporaryDirectory() as folder:
             text = MADE[name](arguments.data, Path(folder))
-        head = (
-            f"<!-- Made by `python docs/measure.py {name} --data DATA`, fgrecon {metadata.version('fgrecon')}. -->\n\n"
-        )
+        made = f"fgrecon {metadata.version('fgrecon')}, {commit()}; {machine()['processor']}"
+        head = f"*`python docs/measure.py {name} --data DATA` ({made})*\n\n"
         (TABLES / f"{name}.md").write_text(head + text, encoding="utf-8")
         print(TABLES / f"{name}.md", flush=True)
 

@@ -88,13 +88,18 @@ def solved(arguments: Sequence[str | Path], name: str, work: Path) -> dict[str, 
     return whole
 
 
+def commit() -> str:
+    """The repository's commit, `-dirty` where files differ from it."""
+    command = ["git", "describe", "--always", "--dirty"]
+    return subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True).stdout.strip() or "unknown"
+
+
 def manifest(names: Sequence[str]) -> dict[str, Any]:
     """By what the files were made."""
-    commit = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=ROOT, check=False, capture_output=True)
     return {
         "format": "fgrecon.release_results/1",
         "fgrecon": metadata.version("fgrecon"),
-        "commit": commit.stdout.decode().strip() or "unknown",
+        "commit": commit(),
         "packages": versions(),
         "machine": machine(),
         "data_sets": {

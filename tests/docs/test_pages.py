@@ -77,7 +77,7 @@ def test_a_table_says_how_it_was_made(table):
     source = ast.parse((REPOSITORY / "docs/measure.py").read_text(encoding="utf-8"))
     made = {node.name for node in source.body if isinstance(node, ast.FunctionDef)}
     head = table.read_text(encoding="utf-8").splitlines()[0]
-    assert head.startswith(f"<!-- Made by `python docs/measure.py {table.stem} --data DATA`, fgrecon ")
+    assert head.startswith(f"*`python docs/measure.py {table.stem} --data DATA` (fgrecon ")
     assert table.stem in made
 
 
