@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -123,6 +124,22 @@ class ClassSizes:
     share: Mapping[str, float]  # of each class among all, where nobody says which it is
     # probability of each class by another program's name for it, by its scheme and the name in lower case
     schemes: Mapping[str, Mapping[str, Mapping[str, float]]]
+    # of a van against a car, in nats, by how much more the package's detector takes it for a truck: at 0, and for each
+    detector_odds: tuple[float, float]
+
+    def detected(self, name: str, margin: float) -> dict[str, float]:
+        """Probability of each class of a vehicle that the package's detector calls so, by COCO's names.
+
+        Which share of the cars and vans is vans tells how much more than for a car it takes it for a truck.
+
+        Args:
+            name: What it calls it.
+            margin: Its number (logit) of a truck less that of a car.
+        """
+        found = self.probabilities({name: 1.0}, "coco")
+        either, (offset, slope) = found["car"] + found["van"], self.detector_odds
+        van = either / (1.0 + math.exp(-(offset + slope * margin)))
+        return {**found, "car": either - van, "van": van}
 
     def probabilities(self, named: Mapping[str, float], scheme: str) -> dict[str, float]:
         """Probability of each class where another program says with which probability a vehicle is what.

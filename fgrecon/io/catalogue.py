@@ -150,6 +150,7 @@ def shipped_class_sizes() -> ClassSizes:
         covariance={name: np.array(one["covariance"]) for name, one in classes.items()},
         share={name: float(one["share"]) for name, one in classes.items()},
         schemes=data["schemes"],
+        detector_odds=(data["detector"]["offset"], data["detector"]["slope"]),
     )
 
 

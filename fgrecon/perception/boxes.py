@@ -161,9 +161,13 @@ def with_detected_classes(boxes: list[NamedBox], image: NDArray[Any], detector: 
 def classes_at(boxes: NDArray[np.float64], image: NDArray[Any], detector: VehicleDetector) -> list[VehicleClass | None]:
     """Of which class the vehicles in boxes (N, 4) are by the detected box that is most like each; None without one.
 
+    The package's detector is asked about these boxes, also where it would find no car itself.
+
     Raises:
         InvalidInputError: The image is none, or the detector returns something else.
     """
+    if isinstance(detector, NanodetVehicleDetector):
+        return [*detector.classes_of(image, boxes)]
     found = find_vehicles(detector, image)
     if not (found.classes and len(boxes)):
         return [None] * len(boxes)

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.checks import as_finite, one_word, own
-from fgrecon.core.choices import ClassScheme
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import box_overlaps
 from fgrecon.core.repr import brief_repr
 from fgrecon.core.vehicle_class import VehicleClass
+from fgrecon.io.catalogue import shipped_class_sizes
 from fgrecon.io.integrity import check_hash, listed
 from fgrecon.io.isolated import Isolated
 from fgrecon.perception.keypoints.decode import sigmoid
@@ -24,7 +25,6 @@ from fgrecon.perception.keypoints.detect import as_rgb8
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session, runs_on, threads_of_networks
 
 Array = NDArray[np.float64]
-Names = NDArray[np.intp]
 
 INPUT = "image"
 """Name of the network's input: (1, 3, H, W) RGB from 0 to 1, less a mean; H and W are multiples of 32, from 64."""
@@ -46,6 +46,7 @@ VEHICLE_NAMES = ("car", "bus", "train", "truck")
 """What COCO calls vehicles that are no two-wheelers, in its order; the network finds boxes of cars."""
 
 _CAR, *_OTHERS = 2, 5, 6, 7  # of COCO's classes, in the order of these names
+_ANY_CLASS = VehicleClass({"car": 0.0})  # as often as each is among all
 _MULTIPLE = 32
 _LEAST_SIDE = 64  # OpenCV 5.0 enlarges a map of one column to garbage
 
@@ -68,6 +69,7 @@ class DetectionSettings:
         max_overlap: Of two boxes from which on they are one car, intersection over union.
         score_slope: Of the logistic regression from the class's number to the score, fitted on KITTI's 19 images.
         score_offset: Its constant, likewise.
+        class_score: Boxes from this on say of which class a vehicle is: vans are no good cars. Not tuned.
     """
 
     looks: tuple[Look, ...] = (Look(928 * 288), Look(256 * 80, 0.4))
@@ -75,6 +77,7 @@ class DetectionSettings:
     max_overlap: float = 0.5
     score_slope: float = 3.4
     score_offset: float = 1.25
+    class_score: float = 0.02
 
 
 SETTINGS = DetectionSettings()
@@ -194,16 +197,41 @@ class NanodetVehicleDetector:
             raise InvalidInputError("least_score", least_score, "Give a number above 0 and up to 1.")
         pixels = as_rgb8(image)
         height, width = pixels.shape[:2]
-        looks = [self._look(pixels, look, least) for look in SETTINGS.looks]
-        boxes, scores, names = (np.concatenate(each) for each in zip(*looks, strict=True))
-        kept = suppress(boxes, scores, SETTINGS.max_overlap)
+        boxes, scores, numbers = self._looks(pixels, min(least, SETTINGS.class_score))
+        likely = np.flatnonzero(scores >= least)
+        kept = likely[suppress(boxes[likely], scores[likely], SETTINGS.max_overlap)]
         inside = np.clip(boxes[kept], 0.0, [width - 1.0, height - 1.0] * 2)
-        visible = (inside[:, 2:] > inside[:, :2]).all(axis=1)  # not beyond the border as a whole
-        called = [VehicleClass(VEHICLE_NAMES[name], ClassScheme.COCO) for name in names[kept][visible]]
-        return Vehicles(inside[visible], scores[kept][visible], classes=tuple(called))
+        kept = kept[visible := (inside[:, 2:] > inside[:, :2]).all(axis=1)]  # not beyond the border as a whole
+        said = _mean_numbers(boxes[kept], boxes, scores, numbers)
+        classes = tuple(_class_of(one) for one in said if one is not None)  # each is about itself
+        return Vehicles(inside[visible], scores[kept], classes=classes)
 
-    def _look(self, pixels: NDArray[np.uint8], look: Look, least_score: float) -> tuple[Array, Array, Names]:
-        """Boxes (M, 4) in pixels of the image, scores and names (M,), from the image scaled about to the area."""
+    def class_numbers(self, image: NDArray[Any], boxes: Array) -> list[Array | None]:
+        """What the network says of the classes of vehicles in boxes (N, 4): (4,) each, or None where it sees none.
+
+        They are its numbers of `VEHICLE_NAMES`, averaged over its boxes about the vehicle by their scores.
+
+        Args:
+            image: As it is called with.
+            boxes: x1, y1, x2, y2 in pixels.
+
+        Raises:
+            InvalidInputError: The image is none.
+        """
+        return _mean_numbers(boxes, *self._looks(as_rgb8(image), SETTINGS.class_score))
+
+    def classes_of(self, image: NDArray[Any], boxes: Array) -> list[VehicleClass]:
+        """Of which class the vehicles in boxes (N, 4) are, as `class_numbers`; where it sees none, of any class."""
+        return [_ANY_CLASS if one is None else _class_of(one) for one in self.class_numbers(image, boxes)]
+
+    def _looks(self, pixels: NDArray[np.uint8], least_score: float) -> tuple[Array, Array, Array]:
+        """Boxes (M, 4), scores (M,) and numbers (M, 4) of all looks at an image, one vehicle in many boxes."""
+        looks = [self._look(pixels, look, least_score) for look in SETTINGS.looks]
+        boxes, scores, numbers = (np.concatenate(each) for each in zip(*looks, strict=True))
+        return boxes, scores, numbers
+
+    def _look(self, pixels: NDArray[np.uint8], look: Look, least_score: float) -> tuple[Array, Array, Array]:
+        """Boxes (M, 4) in pixels of the image, scores (M,), numbers (M, 4), from the image scaled about to the area."""
         import cv2
 
         height, width = pixels.shape[:2]
@@ -211,15 +239,31 @@ class NanodetVehicleDetector:
         size = tuple(max(_LEAST_SIDE, _MULTIPLE * round(side * scale / _MULTIPLE)) for side in (width, height))
         scaled = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR)
         maps = self._network(cv2.dnn.blobFromImage(scaled, 1.0 / 255.0, mean=MEAN))
-        boxes, scores, names = decode(maps, size[0], least_score)
+        boxes, scores, numbers = decode(maps, size[0], least_score)
         boxes = boxes * np.tile([width / size[0], height / size[1]], 2) - 0.5  # pixel centres are at integers
         inside = np.clip(boxes, 0.0, [width, height] * 2)
         large = (inside[:, 2:] - inside[:, :2]).max(axis=1) >= look.min_side * max(width, height)
-        return boxes[large], scores[large], names[large]
+        return boxes[large], scores[large], numbers[large]
 
 
-def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float) -> tuple[Array, Array, Names]:
-    """Boxes (M, 4) of cars, their scores and names (M,) from the network's raw maps, one car in many boxes.
+def _mean_numbers(vehicles: Array, boxes: Array, scores: Array, numbers: Array) -> list[Array | None]:
+    """Of each vehicle (N, 4) the mean of numbers (M, 4) of the boxes (M, 4) about it, by scores (M,); None of none."""
+    if not len(boxes):
+        return [None] * len(vehicles)
+    overlap = box_overlaps(vehicles, boxes)
+    weight = np.where(overlap > SETTINGS.max_overlap, overlap * scores, 0.0)
+    found = ((one, float(one.sum())) for one in weight)
+    return [one @ numbers / total if total > 0.0 else None for one, total in found]
+
+
+def _class_of(numbers: Array) -> VehicleClass:
+    """Of which class a vehicle is of which the network gives numbers (4,) of `VEHICLE_NAMES`."""
+    margin = float(numbers[VEHICLE_NAMES.index("truck")] - numbers[0])
+    return VehicleClass(shipped_class_sizes().detected(VEHICLE_NAMES[int(numbers.argmax())], margin))
+
+
+def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float) -> tuple[Array, Array, Array]:
+    """Boxes (M, 4) of cars, their scores (M,) and numbers (M, 4) from the network's raw maps, one car in many boxes.
 
     The distance of each edge from its cell's centre is the mean of a distribution over 0 to 10 cells. The class's
     number tells both, whether it is a car and how well the box fits; the score is a logistic regression on it.
@@ -230,10 +274,10 @@ def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float)
         least_score: Boxes below this are left out.
 
     Returns:
-        Boxes as x1, y1, x2, y2 in pixels of the input, its left and upper edge at 0; and which of `VEHICLE_NAMES` is
-        the most probable there.
+        Boxes as x1, y1, x2, y2 in pixels of the input, its left and upper edge at 0; and the network's numbers (logits)
+        of `VEHICLE_NAMES` there.
     """
-    boxes, scores, names = [], [], []
+    boxes, scores, classes = [], [], []
     for numbers in maps:
         stride = width // numbers.shape[3]
         car = np.asarray(numbers[0, _CAR], dtype=np.float64)
@@ -245,8 +289,8 @@ def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float)
         centre = np.stack([column, row], axis=1) + 0.5
         boxes.append(stride * np.hstack([centre - left_up, centre + right_down]))
         scores.append(score[row, column])
-        names.append(numbers[0, [_CAR, *_OTHERS]][:, row, column].argmax(axis=0))
-    return np.concatenate(boxes), np.concatenate(scores), np.concatenate(names)
+        classes.append(np.asarray(numbers[0, [_CAR, *_OTHERS]][:, row, column].T, dtype=np.float64))
+    return np.concatenate(boxes), np.concatenate(scores), np.concatenate(classes)
 
 
 def _network_of(model: bytes, runtime: str, device: str = "cpu") -> Network:

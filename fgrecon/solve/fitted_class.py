@@ -1,8 +1,9 @@
-"""Whether a vehicle is a car or a van by its image alone: solved as both, and how much better one explains it.
+"""Whether a vehicle is a car or a van, by its image too: solved as both, and how much better one explains it.
 
 A fleet's vans that are taken for cars come out too near, and draw the ground that they share with all others along.
-Where a fleet has vans (`SizePrior.mixed`) each vehicle is solved by itself in either size first. The difference of the
-energies is evidence of its class, as another program's is: its size is that of the mixture, as sure as that leaves it.
+Where a fleet has vans (`SizePrior.mixed`), or another program is not sure which of the two a vehicle is, it is solved
+by itself in either size first. The difference of the energies is added to what the program says, or else to how often
+vans are: its size is that of the mixture, as sure as that leaves it.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.size_prior import CLASSES
 from fgrecon.core.vehicle_class import VehicleClass
+from fgrecon.io.catalogue import shipped_class_sizes
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.image_facing import single_pose
@@ -26,36 +28,45 @@ from fgrecon.solve.solve_settings import FITTED_CLASS, SCENE
 def with_fitted_classes(
     observations: Sequence[Observation], camera: Camera, setup: SolveSetup, ground: Ground | None
 ) -> list[Observation]:
-    """Observations that know how probably their vehicles are cars and vans, where the fleet has both.
+    """Observations that know how probably their vehicles are cars and vans, where that is open.
 
-    Those of which somebody says the class already, or which cannot be solved by themselves, are as they were.
+    Those of which somebody says the class for sure, or which cannot be solved by themselves, are as they were.
 
     Args:
         observations: Without lens distortion.
         camera: The camera that took the image.
         setup: What holds for all vehicles of the call.
         ground: The ground as it is given, or None.
+
+    Raises:
+        InvalidInputError: A class is none of its scheme.
     """
-    if not setup.fits_classes:
-        return list(observations)
     alone = replace(setup, ground=ground)
-    return [one if _is_classed(one) else _fitted(one, camera, alone) for one in observations]
-
-
-def _is_classed(observation: Observation) -> bool:
-    """Whether somebody says of which class the vehicle is."""
-    return any(isinstance(one, VehicleClass) for one in observation.evidence)
+    return [_fitted(one, camera, alone) for one in observations]
 
 
 def _fitted(observation: Observation, camera: Camera, setup: SolveSetup) -> Observation:
     """An observation that knows of which class its vehicle is."""
+    said, odds = setup.classes_of([observation]), FITTED_CLASS.log_odds
+    if said is None:
+        if not setup.fits_classes:
+            return observation
+        said = {"car": 1.0, "van": 0.0}
+    elif min(said["car"], said["van"]) < FITTED_CLASS.least_probability:
+        return observation
+    else:
+        share = shipped_class_sizes().share
+        odds += FITTED_CLASS.said_log_odds
+        odds += math.log(said["van"] / said["car"]) - math.log(share["van"] / share["car"])
     car, van = (_energy(observation, camera, setup, name) for name in ("car", "van"))
     if car is None or van is None:
         return observation
-    most = FITTED_CLASS.most_nats
+    most, either = FITTED_CLASS.most_nats, said["car"] + said["van"]
     gain = min(max(car - van, -most), most)
-    probability = 1.0 / (1.0 + math.exp(-(FITTED_CLASS.log_odds + FITTED_CLASS.energy_temper * gain)))
-    return observation.with_evidence([VehicleClass({"car": 1.0 - probability, "van": probability})])
+    probability = either / (1.0 + math.exp(-(odds + FITTED_CLASS.energy_temper * gain)))
+    known = VehicleClass({**said, "car": either - probability, "van": probability})
+    others = [one for one in observation.evidence if not isinstance(one, VehicleClass)]
+    return replace(observation, evidence=(*others, known))
 
 
 def _energy(observation: Observation, camera: Camera, setup: SolveSetup, name: str) -> float | None:

@@ -84,7 +84,7 @@ class SolveSetup:
 
     @property
     def fits_classes(self) -> bool:
-        """Whether the fleet has vans, so that images tell which vehicles are (`fgrecon.solve.fitted_class`)."""
+        """Whether the fleet has vans: images tell which vehicles of no class are (`fgrecon.solve.fitted_class`)."""
         return self.fleet is not None and self.fleet.mixed
 
     def model_of(self, observations: Sequence[Observation]) -> VehicleModel:

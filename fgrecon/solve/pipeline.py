@@ -96,7 +96,7 @@ def reconstruct(
 
     started = perf_counter()
     observation, model = observed.observation, setup.model
-    if setup.fits_classes:
+    if setup.fits_classes or observation.evidence:
         (observation,) = with_fitted_classes([observation], camera, setup, setup.ground)
     if observation.evidence:
         model = setup.model_of([observation])

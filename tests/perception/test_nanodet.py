@@ -28,8 +28,9 @@ def test_a_box_by_hand():
     put(cells, 2, 0, 1, SURE, (1, 0, 2, 0))  # stride 32: the centre at 48, 16
     put(cells, 0, 1, 3, 0.0, (2, 1, 3, 10))  # stride 8: at 28, 12
     cells[2][0, 7, 0, 1] = SURE + 1.0  # which looks more like a truck
-    boxes, scores, names = decode(cells, 64, 0.5)
-    assert [VEHICLE_NAMES[name] for name in names] == ["car", "truck"]
+    boxes, scores, numbers = decode(cells, 64, 0.5)
+    assert [VEHICLE_NAMES[at] for at in numbers.argmax(axis=1)] == ["car", "truck"]
+    assert numbers[1].tolist() == [SURE, NOTHING, NOTHING, SURE + 1.0]
     np.testing.assert_allclose(boxes, [[28 - 16, 12 - 8, 28 + 24, 12 + 80], [48 - 32, 16, 48 + 64, 16]], atol=1e-9)
     np.testing.assert_allclose(scores, [1.0 / (1.0 + np.exp(-1.25)), 1.0])
     assert len(decode(cells, 64, 0.8)[0]) == 1

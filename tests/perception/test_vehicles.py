@@ -10,7 +10,7 @@ import pytest
 
 from fgrecon.calibration.matching import box_overlap, match_detections
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.catalogue import load_prior
+from fgrecon.io.catalogue import load_prior, shipped_class_sizes
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_files import Objects
 from fgrecon.perception import vehicles
@@ -150,7 +150,7 @@ def _sizes_seen(monkeypatch, image, looks, boxes):
         return (
             np.array(boxes)[:, :4] * np.tile(inputs[-1][::-1], 2),
             np.linspace(0.9, 0.8, len(boxes)),
-            np.arange(len(boxes)) % 4,
+            2.0 * np.eye(4)[np.arange(len(boxes)) % 4],
         )
 
     monkeypatch.setattr(vehicles, "SETTINGS", DetectionSettings(looks, 0.5, 0.5))
@@ -166,13 +166,41 @@ def test_each_look_has_its_area_and_its_size_of_boxes(sizes_seen):
     found, inputs = sizes_seen(image, (Look(928 * 288), Look(256 * 80, 0.4)), boxes)
     assert inputs == [(288, 928), (64, 256)]
     assert len(found) == 3  # what the second look sees again is suppressed
-    assert [[*one.probabilities] for one in found.classes] == [["car"], ["bus"], ["train"]]
-    assert [*found.take(np.array([2])).classes[0].probabilities] == ["train"]
+    likely = [max(one.probabilities, key=lambda name: one.probabilities[name]) for one in found.classes]
+    assert likely == ["car", "bus", "tram"]
+    assert found.take(np.array([2])).classes[0] is found.classes[2]
     alone, inputs = sizes_seen(image, (Look(256 * 80, 0.4),), boxes)
     assert inputs == [(64, 256)]
     np.testing.assert_allclose(alone.boxes, np.array([boxes[2]]) * [1242, 375, 1242, 375] - 0.5)
     tall, _ = sizes_seen(image, (Look(256 * 80, 0.4),), [[-0.5, 0.0, 0.2, 1.0]])
     assert len(tall) == 0  # what is beyond the border does not count
+
+
+def test_what_looks_more_like_a_truck_is_more_probably_a_van():
+    sizes = shipped_class_sizes()
+    odds = [sizes.detected("car", margin) for margin in (-3.0, -0.5, 1.0)]
+    assert [one["van"] > 0.5 for one in odds] == [False, False, True]
+    assert odds[0]["van"] < 0.01 < 0.1 < odds[1]["van"]
+    either = {one["car"] + one["van"] for one in odds}
+    assert max(either) - min(either) < 1e-12, "what the name says of lorries stays"
+    assert all(sum(one.values()) == pytest.approx(1.0, abs=1e-3) for one in odds)
+
+
+def test_boxes_that_are_given_have_a_class_as_well(monkeypatch):
+    detector = NanodetVehicleDetector(runtime="opencv")
+    boxes = np.array([[10.0, 10, 50, 40], [12.0, 10, 50, 40], [80.0, 10, 120, 40]])
+    numbers = np.array([[1.0, -9, -9, -3], [0.0, -9, -9, 1], [-1.0, -9, -9, 3]])
+    monkeypatch.setattr(detector, "_look", lambda *_: (boxes, np.array([0.4, 0.2, 0.05]), numbers))
+    image, given = np.zeros((60, 200, 3), np.uint8), np.array([[10.0, 10, 50, 40], [81.0, 10, 120, 40], [0.0, 0, 5, 5]])
+    first, second, none = detector.class_numbers(image, given)
+    weights = np.array([0.4, 0.2 * 38.0 / 40.0])
+    np.testing.assert_allclose(first, weights @ numbers[:2] / weights.sum())
+    np.testing.assert_allclose(second, numbers[2])
+    assert none is None
+    car, van, any_class = detector.classes_of(image, given)
+    assert car.probabilities["van"] < 0.2 < van.probabilities["van"]
+    assert any_class.probabilities == {"car": 0.0}, "as often as each is"
+    assert len(detector(image)) == 1, "the others are no cars"
 
 
 def test_small_and_narrow_images_are_made_large_enough(sizes_seen):

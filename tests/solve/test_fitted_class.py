@@ -46,6 +46,24 @@ def test_whose_class_is_given_and_other_fleets_are_left_alone(vehicles):
     assert with_fitted_classes([nothing], CAMERA, SETUP, None) == [nothing]
 
 
+def test_what_another_program_leaves_open_its_image_decides(vehicles):
+    """Whatever the fleet; what is said of lorries stays."""
+    for fleet in (None, "kitti", "kitti_traffic"):
+        setup = SolveSetup.of("car14", fleet, None)
+        for_either = {}
+        for van in (0.0001, 0.05, 0.3):
+            said = VehicleClass({"car": 0.9 - van, "van": van, "lorry": 0.1})
+            given = [one.with_evidence([said]) for one in vehicles]
+            found = with_fitted_classes(given, CAMERA, setup, as_ground(1.65))
+            for_either[van] = [one.evidence[-1].probabilities["van"] for one in found]
+            assert all(len(one.evidence) == len(other.evidence) for one, other in zip(found, given, strict=True))
+            assert all(one.evidence[-1].probabilities["lorry"] == pytest.approx(0.1) for one in found)
+        assert for_either[0.0001] == [0.0001, 0.0001], "too sure"
+        car, van = np.transpose([for_either[0.05], for_either[0.3]])
+        assert car[0] < car[1] < van[0] < van[1], "both count"
+        assert van[0] > 0.5
+
+
 def test_a_van_is_where_it_is(vehicles):
     found, mixed = (
         [fgrecon.reconstruct(one, CAMERA, size_prior=fleet, ground=1.65) for one in vehicles]

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fgrecon.calibration.matching import match_detections
 from fgrecon.calibration.selection import Selection
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.size_prior import CLASSES
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import read_images
-from fgrecon.io.kitti_files import Objects, parse_object
+from fgrecon.io.kitti_files import parse_object
 from fgrecon.perception.vehicles import VEHICLE_NAMES, NanodetVehicleDetector
 
 KITTI = {"Car": "car", "Van": "van", "Truck": "lorry", "Tram": "tram"}
@@ -43,8 +44,7 @@ _NUSCENES = {
 }
 _BUS = {"mean": [11.189, 2.940, 3.470], "source": "nuScenes, mean size of the class bus as detectors' anchors have it"}
 _MEANT = {"car": "car", "bus": "bus", "train": "tram", "truck": "lorry"}  # by COCO's names
-_LEAST_SCORE = 0.1  # of a box that is counted: what looks like a bus is no good car
-_OVERLAP = 0.5  # of a labelled and a detected box of one vehicle
+_NEWTON_STEPS, _RIDGE = 20, 1e-5  # of the logistic regression
 
 
 def class_file(labels: Path, drives: Sequence[Path]) -> dict[str, Any]:
@@ -57,16 +57,18 @@ def class_file(labels: Path, drives: Sequence[Path]) -> dict[str, Any]:
         drives: Labelled drives in which vehicles are counted by what a detector calls them.
 
     Raises:
-        InvalidInputError: As `class_sizes` and `detector_classes`.
+        InvalidInputError: As `class_sizes` and `detected_vehicles`.
     """
     classes = class_sizes(labels)
-    coco = detector_classes(drives, {name: one["share"] for name, one in classes.items()})
+    share = {name: one["share"] for name, one in classes.items()}
+    seen = detected_vehicles(drives)
+    coco = detector_classes(seen, share)
     either = classes["car"]["share"] + classes["van"]["share"]
     car = {name: round(classes[name]["share"] / either, 4) for name in ("car", "van")}
     nuscenes = {name: {one: 1.0} for name, one in _NUSCENES.items()} | {"car": car, "vehicle.car": car}
     sure = {scheme: {name: {one: 1.0} for name, one in names.items()} for scheme, names in _NAMES.items()}
     schemes = {**sure, "nuscenes": nuscenes, "coco": coco, "yolo": coco}
-    return {"name": "kitti", "classes": classes, "schemes": schemes}
+    return {"name": "kitti", "classes": classes, "schemes": schemes, "detector": detector_odds(seen, share)}
 
 
 def class_sizes(labels: Path) -> dict[str, Any]:
@@ -103,39 +105,82 @@ def class_sizes(labels: Path) -> dict[str, Any]:
     return {name: found[name] for name in CLASSES}
 
 
-def detector_classes(drives: Sequence[Path], share: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """Probability of each class by what the package's vehicle detector calls a vehicle, by labelled drives.
+@dataclass(frozen=True)
+class DetectedVehicle:
+    """A labelled vehicle of a drive, and what the package's detector makes of it."""
 
-    Each vehicle of a drive counts once, however many images show it. For what was not seen one vehicle of what the
-    name means is added, and one that is of each class as often as all are.
+    kind: str  # its class
+    numbers: NDArray[np.float64]  # (M, 4) of `VEHICLE_NAMES` in each image in which it is detected
 
-    Args:
-        drives: Folders of labelled drives.
-        share: Of each class among all.
+
+def detected_vehicles(drives: Sequence[Path]) -> list[DetectedVehicle]:
+    """The vehicles of labelled drives that the package's detector takes for a vehicle at all.
 
     Raises:
         InvalidInputError: A folder is no drive.
     """
-    detector, called = NanodetVehicleDetector(), defaultdict[tuple[str, int, str], Counter[str]](Counter)
+    detector, found = NanodetVehicleDetector(), defaultdict[tuple[str, int, str], list[NDArray[np.float64]]](list)
     for folder in drives:
         drive = read_images(folder.absolute())
         for frame in drive.frames:
             rows, _ = Selection(kinds=tuple(KITTI)).judge(frame)
             if not len(rows):
                 continue
-            found = detector(read_image(frame.image), least_score=_LEAST_SCORE)
-            boxes = Objects.detections(["Car"] * len(found), found.boxes, np.ones(len(found)))
-            labels = frame.objects.take(rows)
-            as_cars = Objects.detections(["Car"] * len(rows), labels.box, np.ones(len(rows)))
-            for row, at in zip(rows.tolist(), match_detections(as_cars, boxes, _OVERLAP).tolist(), strict=True):
-                if at >= 0:
-                    key = drive.name, int(frame.tracks[row]), KITTI[frame.objects.kind[row]]
-                    called[key].update(found.classes[at].probabilities.keys())
+            numbers = detector.class_numbers(read_image(frame.image), frame.objects.box[rows])
+            for row, one in zip(rows.tolist(), numbers, strict=True):
+                if one is not None:
+                    found[drive.name, int(frame.tracks[row]), KITTI[frame.objects.kind[row]]].append(one)
+    return [DetectedVehicle(kind, np.array(some)) for (_, _, kind), some in found.items()]
+
+
+def detector_classes(vehicles: Sequence[DetectedVehicle], share: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Probability of each class by what the package's detector calls a vehicle.
+
+    Each vehicle counts once, however many images show it. For what was not seen one vehicle of what the name means is
+    added, and one that is of each class as often as all are.
+
+    Args:
+        vehicles: Which were seen.
+        share: Of each class among all.
+    """
     counted = {name: {one: share[one] + (one == _MEANT[name]) for one in CLASSES} for name in VEHICLE_NAMES}
-    for (_, _, kind), names in called.items():
-        for name, times in names.items():
-            counted[name][kind] += times / names.total()
+    for vehicle in vehicles:
+        called = np.bincount(vehicle.numbers.argmax(axis=1), minlength=len(VEHICLE_NAMES))
+        for name, times in zip(VEHICLE_NAMES, (called / called.sum()).tolist(), strict=True):
+            counted[name][vehicle.kind] += times
     return {
         name: {one: round(count / sum(counts.values()), 4) for one, count in counts.items()}
         for name, counts in counted.items()
     }
+
+
+def detector_odds(vehicles: Sequence[DetectedVehicle], share: Mapping[str, float]) -> dict[str, float]:
+    """Offset and slope of the odds of a van against a car, nats, by how much more it is taken for a truck.
+
+    A logistic regression, to which each vehicle counts once and each class as often as it is among all.
+
+    Args:
+        vehicles: Which were seen.
+        share: Of each class among all.
+
+    Raises:
+        InvalidInputError: No car or no van is among them.
+    """
+    known = {kind: [one.numbers for one in vehicles if one.kind == kind] for kind in ("car", "van")}
+    if not all(known.values()):
+        raise InvalidInputError("drives", "no car or no van", "Give drives with both, in which they are detected.")
+    truck, car = VEHICLE_NAMES.index("truck"), VEHICLE_NAMES.index("car")
+    rows, weights, is_van = list[NDArray[np.float64]](), list[NDArray[np.float64]](), list[NDArray[np.float64]]()
+    for kind, some in known.items():
+        for numbers in some:
+            rows.append(numbers[:, truck] - numbers[:, car])
+            weights.append(np.full(len(numbers), share[kind] / len(some) / len(numbers)))
+            is_van.append(np.full(len(numbers), float(kind == "van")))
+    margin, weight, target = (np.concatenate(each) for each in (rows, weights, is_van))
+    design, found = np.stack([np.ones_like(margin), margin], axis=1), np.zeros(2)
+    for _ in range(_NEWTON_STEPS):
+        probability = 1.0 / (1.0 + np.exp(-design @ found))
+        slope = design.T @ (weight * (probability - target)) + _RIDGE * found
+        curvature = (design.T * (weight * probability * (1.0 - probability))) @ design + _RIDGE * np.eye(2)
+        found = found - np.linalg.solve(curvature, slope)
+    return dict(zip(("offset", "slope"), found.round(2).tolist(), strict=True))
