@@ -17,6 +17,7 @@ __all__ = [
     "pixel_jacobian",
     "position_covariance",
     "quaternion_pose",
+    "rigid",
     "transform",
     "turn_between",
     "view_azimuth",
@@ -74,17 +75,22 @@ def position_covariance(camera_T_object: Array, pose_covariance: Array) -> Array
     return rotation @ pose_covariance[3:, 3:] @ rotation.T
 
 
+def rigid(rotation: ArrayLike, place: ArrayLike) -> Array:
+    """(4, 4) pose of a rotation (3, 3) and a place (3,)."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, place
+    return pose
+
+
 def quaternion_pose(quaternion: Array, place: Array) -> Array:
     """(4, 4) pose of a quaternion w, x, y, z of about unit length and a place (3,)."""
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    pose = np.eye(4)
-    pose[:3, :3] = [
+    rotation = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    pose[:3, 3] = place
-    return pose
+    return rigid(rotation, place)
 
 
 def transform(a_T_b: Array, points: Array) -> Array:

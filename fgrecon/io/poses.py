@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.checks import as_finite, as_rigid
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import rigid
 from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import numbers, read_json
 
@@ -149,9 +150,7 @@ def _of_quaternion(place: Array, quaternion: Array, where: str) -> Array:
 
     if np.linalg.norm(quaternion) < 1e-6:
         raise InvalidInputError(where, quaternion.tolist(), "Give a quaternion qx, qy, qz, qw.")
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), place
-    return pose
+    return rigid(Rotation.from_quat(quaternion).as_matrix(), place)
 
 
 def _between(time: float, times: tuple[float, ...], poses: tuple[Array, ...]) -> Array:
@@ -162,7 +161,5 @@ def _between(time: float, times: tuple[float, ...], poses: tuple[Array, ...]) ->
     first, second = poses
     turn = Rotation.from_matrix(first[:3, :3])
     rest = (turn.inv() * Rotation.from_matrix(second[:3, :3])).as_rotvec()
-    pose = np.eye(4)
-    pose[:3, :3] = (turn * Rotation.from_rotvec(share * rest)).as_matrix()
-    pose[:3, 3] = (1.0 - share) * first[:3, 3] + share * second[:3, 3]
-    return pose
+    place = (1.0 - share) * first[:3, 3] + share * second[:3, 3]
+    return rigid((turn * Rotation.from_rotvec(share * rest)).as_matrix(), place)

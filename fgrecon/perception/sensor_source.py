@@ -14,6 +14,7 @@ from fgrecon.core.choices import DepthScale
 from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Evidence, Points, StereoPair
+from fgrecon.core.geometry import rigid
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, calibration_beside, read_calibration
@@ -134,8 +135,7 @@ class SensorSource:
         if first is None or second is None or not path.is_file():
             fix = "Give images as files, and KITTI's calibration, which has P2 and P3 (--calib)."
             raise InvalidInputError("right", f"{right.name} for {path.name}", fix)
-        motion = np.eye(4)
-        motion[:3, 3] = second.label_offset - first.label_offset
+        motion = rigid(np.eye(3), second.label_offset - first.label_offset)
         left = read_image(path)
         pair = StereoPair(read_image(right), second.camera, motion)
         return stereo_depth(left, first.camera.with_size_of(left), pair)

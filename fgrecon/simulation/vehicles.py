@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import box_around
+from fgrecon.core.geometry import box_around, rigid, yaw_rotation
 from fgrecon.core.observation import Observation
 from fgrecon.core.repr import brief_repr
 from fgrecon.core.shape_prior import ShapePrior
@@ -150,9 +150,8 @@ def simulate_track(
     of one frame knows nothing of the others' (a real network's does: about half of its variance is common to a track).
     """
     pose = kitti_like_pose(rng, camera)
-    step = np.eye(4)
-    step[:3, :3] = _rotation(1, np.radians(rng.normal(0.0, 0.5)))
-    step[0, 3] = rng.uniform(-1.0, 1.0)
+    turn = _rotation(1, np.radians(rng.normal(0.0, 0.5)))
+    step = rigid(turn, (rng.uniform(-1.0, 1.0), 0.0, 0.0))
     track: list[tuple[Observation, SimulatedTruth]] = []
     while len(track) < frames and pose[2, 3] > 5.0:
         try:
@@ -185,19 +184,12 @@ def kitti_like_pose(rng: np.random.Generator, camera: Camera = KITTI_CAMERA) -> 
         yaw = rng.uniform(-np.pi, np.pi)
     pitch, roll = np.radians([0.7, 0.5]) * rng.standard_normal(2)
     level = yaw_pose(yaw, np.array([lateral, _KITTI_HEIGHT, depth]))
-    tilt = np.eye(4)
-    tilt[:3, :3] = _rotation(0, pitch) @ _rotation(2, roll)
-    return tilt @ level
+    return rigid(_rotation(0, pitch) @ _rotation(2, roll), 0.0) @ level
 
 
 def yaw_pose(yaw: float, location: NDArray[np.float64]) -> NDArray[np.float64]:
     """Pose (4, 4) of a level vehicle from KITTI's rotation_y in radians and its location (3,) in metres."""
-    forward = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
-    down = np.array([0.0, 1.0, 0.0])
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([forward, down, np.cross(forward, down)], axis=1)
-    pose[:3, 3] = location
-    return pose
+    return rigid(yaw_rotation(yaw), location)
 
 
 def _rotation(axis: int, angle: float) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.geometry import rigid
 from fgrecon.io.poses import CameraPoses
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.records import FrameRecord
@@ -122,7 +123,5 @@ def _scaled(motion: Array, share: float) -> Array:
     """A motion that goes on for a share of its time."""
     from scipy.spatial.transform import Rotation
 
-    scaled = np.eye(4)
-    scaled[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(motion[:3, :3]).as_rotvec()).as_matrix()
-    scaled[:3, 3] = share * motion[:3, 3]
-    return scaled
+    turn = Rotation.from_rotvec(share * Rotation.from_matrix(motion[:3, :3]).as_rotvec()).as_matrix()
+    return rigid(turn, share * motion[:3, 3])

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from factors.native import native
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.geometry import exponential
+from fgrecon.core.geometry import exponential, rigid
 
 Array = NDArray[np.float64]
 
@@ -380,8 +380,7 @@ class _Problem:
 
     @staticmethod
     def _end(turn: Array, shift: Array, cost: float, weight: Array, trust: Array, hessian: Array) -> _End | None:
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn, shift
+        pose = rigid(turn, shift)
         if not np.isfinite(hessian).all() or not np.isfinite(shift).all():
             return None
         try:
@@ -436,9 +435,7 @@ def _essential(before: Array, after: Array, camera: Camera, problem: _Problem) -
     usable = problem.road & (inside[:, 0] > 0) & (unit_depth > 5.0 * noise)
     if usable.sum() < SETTINGS.min_road_points:
         return None
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turn, shift * _road_length(problem, unit_depth, noise, usable)
-    return pose
+    return rigid(turn, shift * _road_length(problem, unit_depth, noise, usable))
 
 
 def _road_length(problem: _Problem, unit_depth: Array, noise: Array, usable: NDArray[np.bool_]) -> float:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import rigid
 from fgrecon.core.lens import MEI
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
 from fgrecon.io.datasets.lines import named_lines, named_matrix, numbers
@@ -107,8 +108,7 @@ def _frames(path: Path) -> dict[int, Array]:
 def _lens(lines: Mapping[str, list[str]], camera: str, path: Path) -> tuple[Camera, Array]:
     """The rectified camera, and (4, 4) its turn from the camera as it is mounted."""
     side, where = camera[-2:], path / "calibration" / "perspective.txt"
-    turn = np.eye(4)
-    turn[:3, :3] = named_matrix(lines, f"R_rect_{side}", (3, 3), where)
+    turn = rigid(named_matrix(lines, f"R_rect_{side}", (3, 3), where), 0.0)
     width, height = named_matrix(lines, f"S_rect_{side}", (1, 2), where)[0].astype(int).tolist()
     return Camera(named_matrix(lines, f"P_rect_{side}", (3, 4), where)[:, :3], image_size=(width, height)), turn
 
@@ -158,10 +158,7 @@ def _box(item: ET.Element, where: str) -> tuple[Array, Array]:
     if np.linalg.det(axes) < 0.0:  # mirrored: the same box with its left on the other side
         axes[:, 1] = -axes[:, 1]
         low[1], high[1] = -high[1], -low[1]
-    pose = np.eye(4)
-    pose[:3, :3] = axes
-    pose[:3, 3] = matrix[:3, 3] + axes @ (scale * (low + high) / 2.0)
-    return pose, scale * (high - low)
+    return rigid(axes, matrix[:3, 3] + axes @ (scale * (low + high) / 2.0)), scale * (high - low)
 
 
 def _opencv(item: ET.Element, name: str, where: str) -> Array:

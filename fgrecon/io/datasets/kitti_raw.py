@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import rigid
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
 from fgrecon.io.datasets.lines import named_lines, named_matrix, numbers
 from fgrecon.io.files import read_text
@@ -81,10 +82,8 @@ def _read(name: str, path: Path) -> DataSequence:
 
 def _motion(path: Path) -> Array:
     """(4, 4) of a file with lines R and T."""
-    lines, motion = named_lines(path), np.eye(4)
-    motion[:3, :3] = named_matrix(lines, "R", (3, 3), path)
-    motion[:3, 3] = named_matrix(lines, "T", (1, 3), path)[0]
-    return motion
+    lines = named_lines(path)
+    return rigid(named_matrix(lines, "R", (3, 3), path), named_matrix(lines, "T", (1, 3), path)[0])
 
 
 def _times(path: Path) -> list[float]:
@@ -114,10 +113,7 @@ def _poses(folder: Path) -> dict[int, Array]:
         east, north = np.radians(lon), np.log(np.tan(np.radians(90.0 + lat) / 2.0))
         place = np.array([scale * _EARTH * east, scale * _EARTH * north, alt])
         origin = place if origin is None else origin
-        pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
-        pose[:3, 3] = place - origin
-        found[frame] = pose
+        found[frame] = rigid(Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), place - origin)
     return found
 
 
@@ -143,8 +139,7 @@ def _boxes(path: Path) -> dict[int, list[tuple[str, str, Array, Array, int]]]:
             raise InvalidInputError(f"{where}h, w, l", [height, width, length], "Give metres above 0.")
         for step, row in enumerate(item.findall("./poses/item")):
             x, y, z, yaw, grade = (_number(row, name, where) for name in ("tx", "ty", "tz", "rz", "occlusion"))
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = Rotation.from_euler("Z", yaw).as_matrix(), (x, y, z + height / 2.0)
+            pose = rigid(Rotation.from_euler("Z", yaw).as_matrix(), (x, y, z + height / 2.0))
             size = np.array([length, width, height])
             kind = (item.findtext("objectType") or "").strip()
             found[int(first) + step].append((str(number), kind, pose, size, int(grade) if 0 <= grade <= 2 else -1))

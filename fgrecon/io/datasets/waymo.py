@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import AHEAD
+from fgrecon.core.geometry import AHEAD, rigid
 from fgrecon.io.datasets.columns import Columns, read_columns
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox, unpacked_images
 from fgrecon.io.json_fields import within
@@ -137,10 +137,8 @@ def _boxes(table: Columns, poses: Mapping[Any, Array]) -> dict[int, list[WorldBo
     for (x, y, z, length, width, height, heading), time, track, kind in zip(numbers, *columns, strict=True):
         if time not in poses:
             raise InvalidInputError(f"{table.where}{_TIME}", time, "Give the vehicle's pose of this frame.")
-        vehicle_T_box = np.eye(4)
         cosine, sine = np.cos(heading), np.sin(heading)
-        vehicle_T_box[:2, :2] = [[cosine, -sine], [sine, cosine]]
-        vehicle_T_box[:3, 3] = x, y, z
+        vehicle_T_box = rigid([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]], (x, y, z))
         pose, size = poses[time] @ vehicle_T_box, np.array([length, width, height])
         found[time].append(WorldBox(f"{time}-{track}", _KINDS.get(kind, str(kind)), pose, size, track))
     return found

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_path, as_rigid
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import transform
+from fgrecon.core.geometry import rigid, transform
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.kitti_calibration import KittiCalibration, calibration_beside, read_calibration
 from fgrecon.io.nuscenes import camera_T_lidar, is_nuscenes, open_nuscenes
@@ -83,6 +83,4 @@ def _motion(path: Path, frame: PointFrame, given: ArrayLike | KittiCalibration |
 
 
 def _shift(offset: Array) -> Array:
-    motion = np.eye(4)
-    motion[:3, 3] = offset
-    return motion
+    return rigid(np.eye(3), offset)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.geometry import cross, exponential, pixel_jacobian
+from fgrecon.core.geometry import cross, exponential, pixel_jacobian, rigid
 from fgrecon.solve.proposals.aspnp import aspnp
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import PoseEnergy
@@ -104,9 +104,7 @@ def refine_pose(points: Array, rays: Array, weights: Array, camera_T_object: Arr
                 break
         else:
             damping *= 10.0
-    result = np.eye(4)
-    result[:3, :3], result[:3, 3] = rotation, translation
-    return result
+    return rigid(rotation, translation)
 
 
 def _weighted_residual(

@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import cv2
 import numpy as np
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.geometry import rigid
 from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, Options
@@ -132,7 +132,7 @@ def _opencv(flag: str, points: Callable[[Observation], NDArray[np.intp]]) -> Cal
             )
             if not found:
                 raise FgreconError(f"OpenCV found no pose from {len(used)} points.")
-            return _pose(cv2.Rodrigues(rotation)[0], translation)
+            return rigid(cv2.Rodrigues(rotation)[0], np.ravel(translation))
 
         return solve
 
@@ -150,7 +150,7 @@ def _poselib() -> PnP:
         pose, info = poselib.estimate_absolute_pose(pixels, shape[used], pinhole, options, {})
         if not info["num_inliers"]:
             raise FgreconError(f"PoseLib found no pose from {len(used)} points.")
-        return _pose(pose.R, pose.t)
+        return rigid(pose.R, np.ravel(pose.t))
 
     return solve
 
@@ -167,13 +167,6 @@ def _enough(points: NDArray[np.intp]) -> NDArray[np.intp]:
     if len(points) < _MINIMUM:
         raise InvalidInputError("keypoints", f"{len(points)} measured", f"Give at least {_MINIMUM}.")
     return points
-
-
-def _pose(rotation: Any, translation: Any) -> NDArray[np.float64]:
-    camera_T_object = np.eye(4)
-    camera_T_object[:3, :3] = rotation
-    camera_T_object[:3, 3] = np.ravel(translation)
-    return camera_T_object
 
 
 def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -> Method:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Points, StereoPair
+from fgrecon.core.geometry import rigid
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.kitti_drives import Drive, DriveFrame
@@ -75,8 +76,7 @@ def right_image(frame: DriveFrame) -> StereoPair:
     right = None if file is None else calibration_beside(file)
     if file is None or right is None:
         raise InvalidInputError("right", f"none of {frame.image}", "Give a frame with image_03 and P3.")
-    motion = np.eye(4)
-    motion[:3, 3] = right.label_offset - frame.calibration.label_offset
+    motion = rigid(np.eye(3), right.label_offset - frame.calibration.label_offset)
     return StereoPair(read_image(file), right.camera, motion)
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import MIRROR, pixel_jacobian, transform
+from fgrecon.core.geometry import MIRROR, pixel_jacobian, rigid, transform
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon_research.io.annotations.offsets import robust_offset
 from fgrecon_research.training.priors.apollo79 import Apollo79
@@ -164,9 +164,7 @@ def _read_car(fields: Fields, name: str, models: Apollo79) -> MarkedCar:
     marks = fields.numbers("keypoints66", (_MARKS, 3))
     x, y, width, height = fields.numbers("box", (4,))
     pose = fields.numbers("pose", (6,))
-    camera_T_object = np.eye(4)
-    camera_T_object[:3, :3] = _rotation(*pose[:3]) @ _FROM_OBJECT
-    camera_T_object[:3, 3] = pose[3:]
+    camera_T_object = rigid(_rotation(*pose[:3]) @ _FROM_OBJECT, pose[3:])
     scale = models.scale[number]
     return MarkedCar(
         name=name,

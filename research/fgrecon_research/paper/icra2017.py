@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import MIRROR
+from fgrecon.core.geometry import MIRROR, rigid, yaw_rotation
 from fgrecon.core.metrics import orientation_error
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
@@ -274,11 +274,7 @@ def evaluate_icra2017(
 
 def true_pose(example: Icra2017Example) -> Array:
     """(4, 4) labelled pose in the colour camera's frame."""
-    cosine, sine = np.cos(example.rotation_y), np.sin(example.rotation_y)
-    pose = np.eye(4)
-    pose[:3, :3] = [[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]]
-    pose[:3, 3] = example.location + LABEL_OFFSET
-    return pose
+    return rigid(yaw_rotation(example.rotation_y), example.location + LABEL_OFFSET)
 
 
 def _evaluate(name: str, example: Icra2017Example, prior: ShapePrior, options: Options, runs: int) -> Icra2017Result:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
-from fgrecon.core.geometry import transform
+from fgrecon.core.geometry import rigid, transform
 from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.observation import Observation
@@ -165,9 +165,7 @@ def _sqpnp(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Arra
     )
     if not found:
         raise FgreconError("OpenCV found no pose.")
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], origin.ravel()
-    return [(pose, prior.mean)]
+    return [(rigid(cv2.Rodrigues(turn)[0], origin.ravel()), prior.mean)]
 
 
 @summed_up()  # what an evaluation solves is measured, not doubted
