@@ -62,7 +62,7 @@ def cameras_of(car: PosedCar) -> dict[str, Camera]:
     guess = Camera(assumed, image_size=car.size)
     return {
         "measured": Camera(car.matrix, image_size=car.size),
-        "to be found": replace(guess, focal_sigma=ANY_FOCAL_SIGMA),
+        "estimated": replace(guess, focal_sigma=ANY_FOCAL_SIGMA),
         "60 degrees assumed": guess,
     }
 
@@ -103,7 +103,7 @@ def photographs_table(found: dict[str, list[tuple[float, float, bool]]]) -> str:
     for name, rows in found.items():
         degrees, off, inside = (np.array(column) for column in zip(*rows, strict=True))
         numbers = f"{np.median(degrees):.1f} | {100 * np.mean(degrees > _GROSS):.1f}"
-        focal = f"{100 * np.median(off):.0f} | {100 * np.mean(inside):.0f}" if name == "to be found" else "- | -"
+        focal = f"{100 * np.median(off):.0f} | {100 * np.mean(inside):.0f}" if name == "estimated" else "- | -"
         lines.append(f"| {name} | {len(rows)} | {numbers} | {focal} |")
     return "\n".join(lines)
 
@@ -194,7 +194,7 @@ def focal_draw(
 FOCAL_ROWS: dict[str, Callable[[np.random.Generator], list[Focal]]] = {
     "one car": lambda rng: focal_draw(1, 1, rng),
     "four cars": lambda rng: focal_draw(1, 4, rng),
-    "four cars, focal length told to 10 %": lambda rng: focal_draw(1, 4, rng, sigma=0.1),
+    "four cars, focal length known to 10 %": lambda rng: focal_draw(1, 4, rng, sigma=0.1),
     "two cars": lambda rng: focal_draw(5, 2, rng),
     "five pictures of two cars, one camera": lambda rng: focal_draw(5, 2, rng, shared=True),
 }
@@ -259,7 +259,7 @@ ROADSIDE_ROWS: dict[str, Callable[[np.random.Generator], Roadside]] = {
 def roadside_table(found: dict[str, list[Roadside]]) -> str:
     """Markdown."""
     lines = [
-        "| told | draws | places off, median % of the distance | tilt off, median ° | within 1° % | height off % |",
+        "| given | draws | places off, median % of the distance | tilt off, median ° | within 1° % | height off % |",
         "|---|---:|---:|---:|---:|---:|",
     ]
     for name, draws in found.items():

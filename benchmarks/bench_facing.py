@@ -131,7 +131,7 @@ def main() -> int:
         print("error: DATA has no kitti_tracking/label_02 with long enough paths", file=sys.stderr)
         return 1
     heads = ("frames", f"within {_WITHIN:g}° %", "majority right %", "ECE", "place in region %", "yaw in region %")
-    print(f"| turned round | {' | '.join(heads)} |", "|---|---:|---:|---:|---:|---:|---:|", sep="\n")
+    print(f"| flipped | {' | '.join(heads)} |", "|---|---:|---:|---:|---:|---:|---:|", sep="\n")
     kept: dict[str, object] = {}
     for name, row in (("at random", False), ("five in a row", True)):
         followed = [follow(path, row=row, rng=np.random.default_rng(seed)) for seed, path in enumerate(chosen)]

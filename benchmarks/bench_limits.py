@@ -2,7 +2,7 @@
 
 Frames of labelled drives are made worse on purpose (`benchmarks.weather`): night, rain, haze, blur, fewer pixels, a
 lens that bends lines. Of each: how many of the labelled cars the detector finds (by more than half), and in their
-labelled boxes how many are within 5 degrees, turned round, and how far off.
+labelled boxes how many are within 5 degrees, flipped, and how far off.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def rows(frame: DriveFrame, name: str, setup: Setup, detector: NanodetVehicleDet
 
 def table(found: dict[str, Sequence[Row]]) -> str:
     """Markdown."""
-    lines = ["| picture | cars | found % | within 5° % | turned round % | median m |", "|---|---:|---:|---:|---:|---:|"]
+    lines = ["| picture | cars | detected % | within 5° % | flipped % | median m |", "|---|---:|---:|---:|---:|---:|"]
     for name, some in found.items():
         seen, degrees, metres = np.array(some).T
         within, turned = 100.0 * np.mean(degrees <= 5.0), 100.0 * np.mean(degrees > FLIPPED_DEGREES)

@@ -32,7 +32,7 @@ class View:
     Attributes:
         image: (H, W, 3) RGB.
         boxes: (N, 4) x1, y1, x2, y2.
-        camera: The camera that is told.
+        camera: The camera that is given.
     """
 
     image: Pixels
@@ -109,8 +109,8 @@ def _compressed(quality: int) -> Change:
     return change
 
 
-def _through_barrel(*, told: bool) -> Change:
-    """Through a lens that bends straight lines, which is told or not."""
+def _through_barrel(*, known: bool) -> Change:
+    """Through a lens that bends straight lines, which is known or not."""
 
     def change(view: View, rng: np.random.Generator) -> View:
         del rng
@@ -125,7 +125,7 @@ def _through_barrel(*, told: bool) -> Change:
         points = np.stack([np.concatenate([e[i] for e in edges]) for i in (0, 1)], axis=-1)  # (36, N, 2)
         seen = bent.distort(points.reshape(-1, 2)).reshape(points.shape)
         boxes = np.concatenate([seen.min(axis=0), seen.max(axis=0)], axis=1)
-        return View(image, boxes, bent if told else view.camera)
+        return View(image, boxes, bent if known else view.camera)
 
     return change
 
@@ -145,7 +145,7 @@ CHANGES: Mapping[str, Change] = {
     "JPEG of quality 10": _compressed(10),
     "half the pixels": _coarser(2),
     "a third": _coarser(3),
-    "barrel lens, told": _through_barrel(told=True),
-    "barrel lens, not told": _through_barrel(told=False),
+    "barrel lens, known": _through_barrel(known=True),
+    "barrel lens, unknown": _through_barrel(known=False),
 }
 """What is done, by name."""
