@@ -18,12 +18,13 @@ from fgrecon.solve.class_filter import ClassBelief, with_model
 from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
 from fgrecon.solve.ground_filter import CameraFrame, KnownGround
 from fgrecon.solve.image_facing import estimate_pose_facing
-from fgrecon.solve.inputs import SolveSetup
+from fgrecon.solve.inputs import SolveSetup, has_points
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.time.frame import Frame, FrameStep
 from fgrecon.solve.time.vehicle_filter import FilterModel, VehicleFilter, VehicleUpdate, first_observed
+from fgrecon.solve.vehicle.model import in_traffic
 
 Array = NDArray[np.float64]
 
@@ -112,23 +113,35 @@ def look_at_vehicles(
 def _as_class(
     observation: Observation, track: VehicleTrack | None, frame: CameraFrame, setup: SolveSetup
 ) -> tuple[VehicleFilter | None, ClassBelief | None]:
-    """A vehicle, with its frames made for the class that this one and those before say, and what they say."""
+    """A vehicle, with its frames made for the class that this one and those before say, and what they say.
+
+    Once points say how far it is, its size is as free as the traffic's, whatever its class.
+    """
     said = setup.classes_of([observation])
-    vehicle, before = (None, None) if track is None else (track.vehicle, track.classes)
+    if track is None:
+        return None, None if said is None else ClassBelief.first(said)
+    vehicle, belief = track.vehicle, _belief(said, track, observation, frame)
+    before = model = vehicle.past[-1].problem.model
+    if belief is not None and belief.outdated:
+        belief = belief.renewed
+        model = setup.model_for(belief.probability)
+    if model is not before or observation.evidence:
+        known = (one.problem.observation for one in vehicle.frames)
+        model = in_traffic(model) if has_points([observation, *known]) else model
+    return vehicle if model is before else with_model(vehicle, model), belief
+
+
+def _belief(
+    said: Mapping[str, float] | None, track: VehicleTrack, observation: Observation, frame: CameraFrame
+) -> ClassBelief | None:
+    """Of which class a tracked vehicle is by one more frame, which may say nothing."""
     if said is None:
-        return vehicle, before
-    if vehicle is None or track is None:
-        return None, ClassBelief.first(said)
-    if before is None:
-        belief = replace(ClassBelief.first(said), modelled={})
-    else:
-        place = observation.place
-        height = 0.0 if place is None else float(place[3] - place[1])
-        belief = before.updated(said, frame.time - track.last.time, height)
-    if not belief.outdated:
-        return vehicle, belief
-    belief = belief.renewed
-    return with_model(vehicle, setup.model_for(belief.probability)), belief
+        return track.classes
+    if track.classes is None:
+        return replace(ClassBelief.first(said), modelled={})
+    place = observation.place
+    height = 0.0 if place is None else float(place[3] - place[1])
+    return track.classes.updated(said, frame.time - track.last.time, height)
 
 
 def _step(before: CameraFrame, now: CameraFrame) -> FrameStep:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from numbers import Real
@@ -40,6 +40,9 @@ _CAMERA_NUMBERS = Real, np.ndarray, list, tuple  # what a matrix, or fx, fy, cx,
 _TURN = 2.0 * np.pi + 1e-6  # radians; what is more is in degrees
 _ROTATION_TOLERANCE = 1e-4  # of a camera's pose: more digits than that are seldom lost
 _LEAST_MASK_OVERLAP = 0.3  # intersection over union of both boxes, from which on a mask is a vehicle's
+_NO_VELOCITY = (
+    "Give it with the vehicle, as `Observation(evidence=...)`, to a `Tracker`: images without times have no velocity."
+)
 _ROUNDING = 1e-9  # share of the largest number of a covariance that is rounding
 
 
@@ -98,8 +101,7 @@ class SolveSetup:
         """
         said = self.classes_of(observations)
         model = self.model if said is None else self.model_for(said)
-        measured = any(isinstance(one, Points) for seen in observations for one in seen.evidence)
-        return in_traffic(model) if measured else model
+        return in_traffic(model) if has_points(observations) else model
 
     @staticmethod
     def classes_of(observations: Sequence[Observation]) -> dict[str, float] | None:
@@ -119,6 +121,11 @@ class SolveSetup:
         """The prior prepared for a vehicle that is of each class with a probability."""
         share = tuple((name, round(value, 2)) for name, value in classes.items())
         return _of_class(self.prior, self.fleet, self.options.shape.basis_vectors, share)
+
+
+def has_points(observations: Iterable[Observation]) -> bool:
+    """Whether measured points say how far a vehicle is."""
+    return any(isinstance(one, Points) for seen in observations for one in seen.evidence)
 
 
 @lru_cache(maxsize=128)  # one object for one class, so that what is prepared for it is found again
@@ -166,14 +173,21 @@ def observe(
     box: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
     evidence: Sequence[Evidence] = (),
+    moving: bool = False,
 ) -> Observed:
     """The observation that is solved from: checked against the category, and freed of lens distortion.
 
+    Args:
+        moving: Whether the vehicle has a velocity, as over time.
+
     Raises:
-        InvalidInputError: An array has the wrong shape or values, something is given twice, or the box is outside of
-            the image.
+        InvalidInputError: An array has the wrong shape or values, something is given twice, the box is outside of the
+            image, or a range rate is of a vehicle without a velocity.
     """
     observation = given = _as_observation(keypoints, category, confidence, box, covariance).with_evidence(evidence)
+    rates = [] if moving else [one for one in given.evidence if isinstance(one, RangeRate)]
+    if rates:
+        raise InvalidInputError("evidence", rates[0], _NO_VELOCITY)
     scale_between(given.image_size, camera.image_size, "image_size")
     if observation.box is not None and camera.image_size is not None:
         (left, top, right, bottom), (width, height) = observation.box, camera.image_size
@@ -188,6 +202,15 @@ def observe(
         observation = observation.without(which, category.keypoints, why)
     observation = observation.undistorted(camera, category.keypoints)
     return Observed(_with_own_mask(observation, camera) if observation.evidence else observation, doubt)
+
+
+def without_rates_over_ground(observation: Observation) -> Observation:
+    """The observation of a camera whose motion nothing says: rates over the ground say nothing of what it sees."""
+    used = tuple(one for one in observation.evidence if not (isinstance(one, RangeRate) and one.over_ground))
+    if len(used) == len(observation.evidence):
+        return observation
+    why = "range rate: left out, it is over the ground, and `world_T_camera` does not say how the camera moves."
+    return replace(observation, evidence=used, left_out=(*observation.left_out, why))
 
 
 def _with_own_mask(observation: Observation, camera: Camera) -> Observation:
@@ -356,8 +379,11 @@ def evidence_of(given: Sequence[Evidence], camera: Camera, *, of_all: bool = Fal
     evidence = as_evidence(given) if given != () else ()
     for number, one in enumerate(evidence):
         if isinstance(one, RangeRate) or (of_all and isinstance(one, Range)):
-            fix = "Give it with the vehicle, as `Observation(evidence=...)`"
-            fix += ", to a `Tracker`: an image has no velocity." if isinstance(one, RangeRate) else "."
+            fix = (
+                _NO_VELOCITY
+                if isinstance(one, RangeRate)
+                else "Give it with the vehicle, as `Observation(evidence=...)`."
+            )
             raise InvalidInputError(f"evidence[{number}]", one, fix)
         if isinstance(one, Points) and len(one.points):
             check_points(one.points, camera, f"evidence[{number}]")

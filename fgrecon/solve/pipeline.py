@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -86,7 +86,7 @@ def reconstruct(
     setup = SolveSetup.of(prior, size_prior, options, ground)
     camera = calibrated("intrinsics", Camera.of(intrinsics, distortion))
     start, factors = as_initial(initial, setup.prior), as_extra_factors(extra_factors)
-    given = {"confidence": confidence, "box": box, "covariance": covariance}
+    given: dict[str, Any] = {"confidence": confidence, "box": box, "covariance": covariance}
     sensed = evidence_of(evidence, camera)
     if sensed:
         setup = replace(setup, ground=ground_by_points(sensed, setup.ground, camera, setup.options.disabled_terms))

@@ -47,6 +47,7 @@ from fgrecon.solve.inputs import (
     calibrated,
     evidence_of,
     observe,
+    without_rates_over_ground,
 )
 from fgrecon.solve.proposals.point_term import with_its_points
 from fgrecon.solve.result import marginalise, results
@@ -252,8 +253,10 @@ class Tracker:
         for name, given in observations.items():
             try:
                 category, options = self._setup.prior.category, self._setup.options
-                found[name], doubt = observe(given, camera, category, options, evidence=evidence)
+                found[name], doubt = observe(given, camera, category, options, evidence=evidence, moving=True)
                 doubts.add(f"vehicle {name}", doubt)
+                if frame.world_T_camera is None:
+                    found[name] = without_rates_over_ground(found[name])
             except FgreconError as error:
                 refused[name] = error
         warn_of(doubts, stacklevel=5)

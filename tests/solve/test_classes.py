@@ -13,7 +13,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.size_prior import SIZE_PRIORS
-from fgrecon.io.catalogue import load_prior, shipped_cuboid
+from fgrecon.io.catalogue import load_prior, shipped_class_sizes, shipped_cuboid
 from fgrecon.solve.inputs import SolveSetup
 from tests.cars import CAMERA, observe, yaw_pose
 
@@ -115,6 +115,24 @@ def test_a_class_may_come_later(van):
     said = (VehicleClass("van"),)
     names = [one.shape.prior for one in followed([(van, ()), (van, ()), (van, said)])]
     assert names == ["car14 of kitti", "car14 of kitti", "car14 of van"]
+
+
+def test_sizes_are_free_once_points_say_how_far_it_is(van):
+    rotation, surface = yaw_pose(2.0)[:3, :3], van.surface.mean
+    side = surface[surface @ rotation.T @ [0.0, 0.0, 1.0] < -0.5]
+    points = fgrecon.Points(side @ rotation.T + PLACES[0], 0.05)
+    tracker = fgrecon.Tracker(size_prior="kitti")
+    allowed = []
+    for t, evidence in enumerate(((), (points,), (points, VehicleClass("van")), (VehicleClass("van"),))):
+        tracker.update(t / 3.0, {0: seen(van, evidence=evidence)}, camera=CAMERA, ground=1.65)
+        frames = tracker._tracks[0].vehicle.frames
+        allowed.append({float(one.problem.model.size.assumed_sigma[2]) for one in frames})
+    free = [
+        float(np.sqrt(SIZE_PRIORS["kitti"].spread[2, 2])),
+        *2 * [shipped_class_sizes().covariance["van"][2, 2] ** 0.5],
+    ]
+    assert [len(one) for one in allowed] == [1, 1, 1, 1]
+    assert [one.pop() for one in allowed] == pytest.approx([SIZE_PRIORS["kitti"].assumed_sigma[2], *free])
 
 
 LORRY = np.array([9.0, 2.5, 3.4])

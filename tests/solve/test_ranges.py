@@ -61,6 +61,14 @@ def test_each_vehicle_of_a_scene_and_each_image_has_its_own() -> None:
         reconstruct_scene(given, CAMERA, evidence=[Range(20.0, 0.1)])
     with pytest.raises(InvalidInputError, match=r"^evidence\[0\].*Tracker"):
         reconstruct(given[0], CAMERA, evidence=[RangeRate(1.0, 0.1)])
+    rated = given[0].with_evidence([RangeRate(1.0, 0.1)])
+    with pytest.raises(InvalidInputError, match=r"^evidence: .*Tracker.*without times"):
+        reconstruct(rated, CAMERA)
+    for refused in (
+        reconstruct_scene([given[1], rated], CAMERA).refused[1],
+        reconstruct_track([given[0], rated], CAMERA).refused[1],
+    ):
+        assert "to a `Tracker`: images without times have no velocity" in str(refused)
     track = reconstruct_track([given[0], seen(seed=2)], CAMERA)
     assert np.linalg.norm(track.frames[0].location - PLACE) < 0.25
 
@@ -102,6 +110,18 @@ def test_relative_rates_need_no_motion_of_the_camera() -> None:
         assert estimate.velocity is not None
         speeds[rates] = abs(float(estimate.velocity[2]) - 4.0)
     assert speeds[True] < 0.3 < speeds[False]
+
+
+def test_a_rate_over_the_ground_is_left_out_where_nothing_says_how_the_camera_moves() -> None:
+    found = []
+    for evidence in ((), (RangeRate(14.0, 0.1, over_ground=True),)):
+        tracker = Tracker(size_prior="kitti")
+        for i in range(3):
+            one = replace(seen(np.array([2.0, 1.65, 20.0 + 0.4 * i]), -np.pi / 2.0, seed=i), evidence=evidence)
+            estimate = tracker.update(i / 10.0, {3: one}, camera=CAMERA, ground=1.65)[3]
+        found.append(estimate)
+    np.testing.assert_array_equal(found[0].reconstruction.location, found[1].reconstruction.location)
+    assert "range rate: left out" in " ".join(found[1].reconstruction.diagnostics.left_out)
 
 
 @pytest.mark.parametrize(

@@ -118,7 +118,10 @@ def in_traffic(model: VehicleModel) -> VehicleModel:
     Less is best where size and distance are told by one image, and a van is a car that is nearer. Where its distance is
     measured it is not, and what is as high as a van may be one.
     """
-    return model if model.size is None else replace(model, size=model.size.as_in_traffic)
+    if model.size is None:
+        return model
+    free = model.size.as_in_traffic
+    return model if np.array_equal(free.assumed_sigma, model.size.assumed_sigma) else replace(model, size=free)
 
 
 def _brought_to(prior: ShapePrior, size: SizePrior | None) -> tuple[ShapePrior, SizePrior | None]:
