@@ -110,9 +110,9 @@ class ShapeTerm:
 
     name: ClassVar[str]
 
-    def applies(self, about: ShapeContext) -> bool:
-        """Whether it says something about the vehicle."""
-        raise NotImplementedError
+    def applies(self, about: ShapeContext) -> bool:  # noqa: ARG002
+        """Whether it says something about the vehicle; always, where a term does not say."""
+        return True
 
     def planes(self, about: ShapeContext) -> Mapping[int, NDArray[np.intp] | None]:  # noqa: ARG002
         """Keys of its planes, with the keypoints that each is fitted to at the start; None: the medial plane."""
