@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 _FARTHEST = 300.0  # metres: the median depth of no scan is larger; millimetres and centimetres are
 _SHARE = 0.02  # of the points fall into the image in the frame of a mistake that explains it,
 _TIMES = 20.0  # and so many times more than in the frame in which they are given: whole scans have strays
-_LOOKED_AT = 4_000  # points
+_LOOKED_AT = 1_000  # points
 _MISTAKES: Mapping[str, Array] = {
     "a LiDAR's frame (x forward, y left, z up)": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
     "a frame with y up and z backward (OpenGL's)": np.diag([1.0, -1.0, -1.0]),

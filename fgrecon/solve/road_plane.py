@@ -96,8 +96,6 @@ def _pixels(depth: DepthMap, camera: Camera) -> Array:
 
 def _plane(cells: Array, given: Ground | None) -> Ground | None:
     """The plane on which most of the lowest points (M, 3) are; None where too few show it, or `given` excludes it."""
-    from scipy.optimize import least_squares  # on use: hardly anybody has points
-
     x, y, z = cells.T
     ahead = np.stack([np.ones(len(cells)), x, z], axis=1)  # y = a + b x + c z
     if given is None:
@@ -108,7 +106,7 @@ def _plane(cells: Array, given: Ground | None) -> Ground | None:
     else:
         start = np.array([given.distance, -given.normal[0], -given.normal[2]]) / given.normal[1]
     for scale in ROAD.scales_m:
-        start = least_squares(lambda p: ahead @ p - y, start, jac=lambda _: ahead, loss="cauchy", f_scale=scale).x
+        start = _robust(ahead, y, start, scale)
     off = ahead @ start - y
     on = np.abs(off) < ROAD.inlier_m
     spread = np.ptp(np.percentile(cells[on][:, [0, 2]], [5, 95], axis=0), axis=0) if on.any() else np.zeros(2)
@@ -122,6 +120,17 @@ def _plane(cells: Array, given: Ground | None) -> Ground | None:
     sigma = np.sqrt(variance * np.diag(np.linalg.inv(about.T @ about)))
     height, slope = np.hypot(ROAD.height_sigma, sigma[0]), np.hypot(ROAD.slope_sigma, max(sigma[1:]))
     return Ground(normal, float(start[0] * normal[1]), float(height), float(slope))
+
+
+def _robust(design: Array, heights: Array, start: Array, scale: float) -> Array:
+    """(3,) coefficients of the design (M, 3) whose Cauchy loss of heights (M,) is a minimum, by reweighing."""
+    for _ in range(ROAD.reweighings):
+        weighed = design.T / (1.0 + np.square((design @ start - heights) / scale))
+        found: Array = np.linalg.solve(weighed @ design, weighed @ heights)
+        near, start = np.abs(found - start).max() < ROAD.converged, found
+        if near:
+            break
+    return start
 
 
 def _excluded(normal: Array, distance: float, given: Ground) -> bool:

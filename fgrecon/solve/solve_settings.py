@@ -125,6 +125,8 @@ class RoadSettings:
     pixels: int = 20000  # of a depth map
     start_percentile: float = 80.0  # of the heights of near cells: a first guess where no ground is given
     scales_m: tuple[float, ...] = (0.3, 0.1, 0.05)  # of the robust loss, one after the other
+    reweighings: int = 50  # at most, for each of them
+    converged: float = 1e-4  # change of the height in metres, and of the slopes, that is none
     inlier_m: float = 0.15
     least_cells: int = 40  # on the plane
     least_share: float = 0.25  # of all cells
