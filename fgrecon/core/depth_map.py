@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -72,6 +72,7 @@ class DepthMap:
         inverse: Whether the numbers are inverse depths (1 / metres), as of disparities and many networks.
         shared_sigma: Standard deviation of an error of the inverse depth that all pixels have in common, 1 / metres.
         calibration: Scale and shift where they are known, such as from the frame before; takes the place of `scale`.
+        corner: Row and column of the image's pixel that is the first of a map of a part of it (`part`).
     """
 
     depth: NDArray[np.float64]
@@ -81,6 +82,7 @@ class DepthMap:
     inverse: bool = False
     shared_sigma: float = 0.0
     calibration: DepthCalibration | None = None
+    corner: tuple[int, int] = (0, 0)
 
     __repr__ = brief_repr
 
@@ -129,6 +131,16 @@ class DepthMap:
             return DepthCalibration()
         return self.calibration
 
+    def part(self, rows: slice, columns: slice) -> DepthMap:
+        """The part of a whole map in some rows and columns, in an array of its own; its calibration must be known."""
+        sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[rows, columns]
+        corner = rows.start, columns.start
+        return replace(self, depth=self.depth[rows, columns], sigma=sigma, calibration=self.known, corner=corner)
+
+    def at(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
+        """Numbers of the map (M,) at pixels of the image."""
+        return self.depth[row - self.corner[0], column - self.corner[1]]
+
     def metres(self, numbers: Array, calibration: DepthCalibration) -> Array:
         """Depths of numbers of the map in metres; NaN of what is nowhere before the camera."""
         found = calibration.scale * numbers + calibration.shift
@@ -137,7 +149,8 @@ class DepthMap:
 
     def along(self, row: NDArray[np.intp], column: NDArray[np.intp], metres: Array, scale: float) -> Array:
         """Standard deviations (M,) of the depths of pixels in metres, with so many metres to a unit."""
-        sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[row, column]
+        first = self.corner
+        sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[row - first[0], column - first[1]]
         own_sigma = scale * np.asarray(sigma) * (metres**2 if self.inverse else 1.0)
         return np.asarray(np.hypot(own_sigma, self.relative_sigma * metres))
 

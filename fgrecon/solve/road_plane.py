@@ -124,13 +124,13 @@ def _plane(cells: Array, given: Ground | None) -> Ground | None:
 
 def _robust(design: Array, heights: Array, start: Array, scale: float) -> Array:
     """(3,) coefficients of the design (M, 3) whose Cauchy loss of heights (M,) is a minimum, by reweighing."""
+    found = start
     for _ in range(ROAD.reweighings):
-        weighed = design.T / (1.0 + np.square((design @ start - heights) / scale))
-        found: Array = np.linalg.solve(weighed @ design, weighed @ heights)
-        near, start = np.abs(found - start).max() < ROAD.converged, found
-        if near:
+        weighed = design.T / (1.0 + np.square((design @ found - heights) / scale))
+        before, found = found, np.asarray(np.linalg.solve(weighed @ design, weighed @ heights), dtype=np.float64)
+        if np.abs(found - before).max() < ROAD.converged:
             break
-    return start
+    return found
 
 
 def _excluded(normal: Array, distance: float, given: Ground) -> bool:

@@ -26,6 +26,8 @@ from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.inputs import SolveSetup
+from fgrecon.solve.proposals.point_term import point_terms, with_its_points
 from fgrecon.solve.vehicle.visibility import clearance, probability
 
 SIZE = (620, 190)
@@ -149,6 +151,32 @@ def test_one_vehicle_over_images_and_over_time(street: tuple[list[Observation], 
     for time in (0.0, 0.1):
         found = tracker.update(time, {3: one}, camera=CAMERA, ground=1.65, evidence=[given])
     assert np.linalg.norm(found[3].reconstruction.location - PLACES[0]) < 0.6
+
+
+def test_a_tracker_keeps_of_a_map_what_its_vehicles_use(street: tuple[list[Observation], np.ndarray]) -> None:
+    seen, depth = street
+    tracker = Tracker()
+    given = DepthMap(depth, sigma=np.full(depth.shape, 0.05), shared_sigma=0.002)
+    tracker.update(0.0, dict(enumerate(seen)), camera=CAMERA, ground=1.65, evidence=[given])
+    for name, one in enumerate(seen):
+        own = with_its_points(one.with_evidence([given]), CAMERA)
+        (part,) = own.evidence
+        (kept,) = tracker._tracks[name].vehicle.past[-1].problem.observation.evidence
+        assert isinstance(part, DepthMap)
+        assert isinstance(kept, DepthMap)
+        assert part.corner == kept.corner
+        assert np.array_equal(part.depth, kept.depth, equal_nan=True)
+        assert kept.depth.base is None
+        assert part.depth.size < 0.3 * depth.size
+        again = with_its_points(own, CAMERA).evidence[0]
+        assert isinstance(again, DepthMap)
+        assert again.corner == part.corner
+        setup = SolveSetup.of("car14", None, OPTIONS)
+        whole, some = (point_terms(o, CAMERA, setup.model)[0] for o in (one.with_evidence([given]), own))
+        assert np.array_equal(whole.rows.points, some.rows.points)
+        assert np.array_equal(whole.rows.along, some.rows.along)
+    beside = with_its_points(replace(seen[0], box=np.array([-90.0, -90.0, -50.0, -50.0]), evidence=(given,)), CAMERA)
+    assert point_terms(beside, CAMERA, setup.model) == ()
 
 
 def test_a_map_that_says_nothing_changes_nothing(street: tuple[list[Observation], np.ndarray]) -> None:

@@ -127,18 +127,16 @@ def _rows(
 
 def _pixels(depth: ScaledDepth, box: Array, camera: Camera) -> tuple[Array, Array]:
     """(M, 3) pixels of a depth map about where a vehicle must be, camera frame, and their deviations along the rays."""
-    height, width = depth.given.depth.shape
-    size = box[2:] - box[:2]
-    low = np.maximum(np.ceil(box[:2] - POINTS.frustum_margin * size.max()), 0.0)
-    high = np.minimum(np.floor(box[2:] + POINTS.frustum_margin * size.max()), [width - 1.0, height - 1.0])
+    rows, columns = _window(depth.given, box)
     none = np.zeros((0, 3)), np.zeros(0)
-    if not (high > low).all():
+    height, width = rows.stop - rows.start, columns.stop - columns.start
+    if min(height, width) < 2:
         return none
-    (left, top), (right, bottom) = low.astype(int), high.astype(int)
-    row, column = np.nonzero(np.isfinite(depth.given.depth[top : bottom + 1, left : right + 1]))
-    step = max(1, int(np.ceil(np.sqrt(np.prod(high - low) / POINTS.most_pixels))))
-    _, first = np.unique((row // step) * (right - left + 1) + column // step, return_index=True)
-    row, column = row[first] + top, column[first] + left
+    top, left = rows.start - depth.given.corner[0], columns.start - depth.given.corner[1]
+    row, column = np.nonzero(np.isfinite(depth.given.depth[top : top + height, left : left + width]))
+    step = max(1, int(np.ceil(np.sqrt((height - 1) * (width - 1) / POINTS.most_pixels))))
+    _, first = np.unique((row // step) * width + column // step, return_index=True)
+    row, column = row[first] + rows.start, column[first] + columns.start
     metres = depth.metres(row, column)
     nearest, farthest = _depths(box, camera)
     along = depth.given.along(row, column, metres, depth.calibration.scale)
@@ -151,6 +149,15 @@ def _pixels(depth: ScaledDepth, box: Array, camera: Camera) -> tuple[Array, Arra
     return points[far], along[far]
 
 
+def _window(depth: DepthMap, box: Array) -> tuple[slice, slice]:
+    """The rows and columns of the image, of those that a map has, in which a vehicle in a 2D box must be."""
+    first = np.array(depth.corner[::-1])
+    margin, last = POINTS.frustum_margin * (box[2:] - box[:2]).max(), first + depth.depth.shape[::-1]
+    low = np.clip(np.ceil(box[:2] - margin), first, last).astype(int)
+    high = np.clip(np.floor(box[2:] + margin) + 1.0, low, last).astype(int)
+    return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+
+
 @lru_cache(maxsize=16)
 def patches_of(prior: ShapePrior) -> SurfacePatches:
     """The patches of a prior's surface, made once."""
@@ -159,13 +166,15 @@ def patches_of(prior: ShapePrior) -> SurfacePatches:
 
 
 def with_its_points(observation: Observation, camera: Camera) -> Observation:
-    """The observation with those alone of its points that its vehicle uses: a scan of each frame is much to keep."""
+    """The observation with those points and pixels alone that its vehicle uses: all of each frame is much to keep."""
     box, some = observation.place, list[Evidence]()
     for one in observation.evidence:
         if isinstance(one, Points):
             used = np.zeros(len(one.points), dtype=bool)
             used[() if box is None else _about(one, box, camera)] = box is not None
             some.append(one.chosen(used))
+        elif isinstance(one, DepthMap) and box is not None:
+            some.append(one.part(*_window(one, box)))
         else:
             some.append(one)
     return replace(observation, evidence=tuple(some)) if some else observation

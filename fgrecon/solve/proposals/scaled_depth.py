@@ -40,7 +40,7 @@ class ScaledDepth:
 
     def metres(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
         """(M,) depths of pixels, metres; NaN where there is none."""
-        return self.given.metres(self.given.depth[row, column], self.calibration)
+        return self.given.metres(self.given.at(row, column), self.calibration)
 
     def calibrated(self, variables: Array, covariance: Array) -> tuple[float, float, Array]:
         """Scale and shift by the variables (2,), and by their covariance (2, 2) theirs; of metric depths as inverse."""
