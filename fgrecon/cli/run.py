@@ -194,10 +194,10 @@ def run_command(
     check_folder(out)
     screen = terminal.screen(json_out)
     job = prepare_video(options.request(source, out), screen.warn)
-    run = run_report.perform(job, options.delivery, screen)
+    run, filmed = run_report.perform(job, options.delivery, screen)
     write_tracks(job, run)
     screen.wrote(out)
-    drawn = run_report.draw(job, run, options.drawn.picture, screen)
+    drawn = run_report.draw(job, run, options.drawn.picture, screen, filmed=filmed)
     if options.delivery.save is not None:
         with screen.bar() as advance:
             screen.wrote(run_report.recording(job, run, advance).write(options.delivery.save))

@@ -23,7 +23,7 @@ from fgrecon.video import VideoRun
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.video_job import VideoJob, track_video
 from fgrecon.viz import Recording
-from fgrecon.viz.film import Showing, film, recorded, still
+from fgrecon.viz.film import LiveFilm, Showing, film, recorded, still
 from fgrecon.viz.sinks import start_viewer
 
 FORMAT = "fgrecon.run/1"
@@ -32,12 +32,24 @@ _FILM = "film.json"
 """In the folder of the results: what the film that was written last shows."""
 
 
-def perform(job: VideoJob, viewer: Viewer, screen: Screen) -> VideoRun:
-    """Look at the frames, follow the vehicles, smooth; a viewer sees each frame as it comes."""
-    with screen.bar() as advance, _on_interrupt() as stopped, _live(job, viewer) as show:
+def perform(job: VideoJob, viewer: Viewer, screen: Screen) -> tuple[VideoRun, bool]:
+    """Look at the frames, follow the vehicles, smooth; a viewer sees each frame as it comes.
+
+    Returns:
+        The run, and whether its film was drawn meanwhile, as it is where estimates stay as they come.
+    """
+    with (
+        screen.bar() as advance,
+        _on_interrupt() as stopped,
+        _live(job, viewer) as show,
+        _filming(job) as film_it,
+    ):
 
         def go_on(run: VideoRun, frame: SourceFrame | None) -> bool:
             show(run.frames[-1], frame)
+            if film_it is not None:
+                image = None if frame is None else frame.image
+                film_it.add(run.frames[-1], image, read=frame is not None)
             gaps = f", {len(run.gaps)} gaps" if run.gaps else ""
             advance("Frames", len(run.frames), run.total, f"{counted(len(run.frames[-1].boxes), 'car')} now{gaps}")
             return not stopped
@@ -46,7 +58,24 @@ def perform(job: VideoJob, viewer: Viewer, screen: Screen) -> VideoRun:
             advance("Smoothing", 0, None, counted(len(run.tracks), "car"))
 
         seen = viewer.requested
-        return track_video(job, screen.warn, go_on=go_on, smoothing=smoothing, window_graph=seen, estimated=seen)
+        run = track_video(job, screen.warn, go_on=go_on, smoothing=smoothing, window_graph=seen, estimated=seen)
+        if film_it is not None:
+            film_it.end(whole=not run.stopped)
+        return run, film_it is not None and film_it.finished
+
+
+@contextmanager
+def _filming(job: VideoJob) -> Iterator[LiveFilm | None]:
+    """The film that is drawn while frames come; None where none is requested, or estimates change later."""
+    request = job.request
+    if request.video is None or not (request.online or request.alone):
+        yield None
+        return
+    film_it = LiveFilm(request.video, job.camera)
+    try:
+        yield film_it
+    finally:
+        film_it.end(whole=False)
 
 
 @contextmanager
@@ -94,19 +123,24 @@ def _on_interrupt() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-def draw(job: VideoJob, run: VideoRun, picture: Path | None, screen: Screen) -> bool:
+def draw(job: VideoJob, run: VideoRun, picture: Path | None, screen: Screen, *, filmed: bool) -> bool:
     """Draw the video, if the run was not stopped, and a picture, where they are requested.
+
+    Args:
+        filmed: Whether the video is drawn already.
 
     Returns:
         Whether there was something to draw, where a picture is requested.
     """
     request = job.request
     if request.video is not None and not run.stopped:
-        if _film_stamp(job, request.video) == _text(request.out / _FILM):
+        if not filmed and _film_stamp(job, request.video) == _text(request.out / _FILM):
             screen.print(f"{request.video} shows this already.")
         else:
-            with screen.bar() as advance:
-                screen.wrote(film(request.video, job.source, run.frames, job.camera, advance))
+            if not filmed:
+                with screen.bar() as advance:
+                    film(request.video, job.source, run.frames, job.camera, advance)
+            screen.wrote(request.video)
             write_text(request.out / _FILM, _film_stamp(job, request.video))
     if picture is None:
         return True

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from itertools import pairwise
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from itertools import chain, islice
 from pathlib import Path
+from queue import Queue
+from threading import Thread
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +30,9 @@ from fgrecon.viz.subjects import DrawnVehicle, RecordedFrame, detection_words
 Advance = Callable[[str, int, int | None], None]
 """Called with what is being done, how much of it is done, and how much there is."""
 
+Image = NDArray[np.uint8]
+
+_AHEAD = 2  # frames that wait to be drawn, while others come
 _RATE = 10.0  # for players; the frames have times of their own
 _TRAIL = 100  # frames that a vehicle's path is drawn
 _SIGMAS = 1.96  # of 95 %
@@ -104,20 +110,94 @@ def film(path: Path, source: FrameSource, frames: FrameStore, camera: Camera, ad
     Raises:
         InvalidInputError: The file cannot be written.
     """
-    showing = Showing()
-    passed = [b.time - a.time for a, b in pairwise(frames.heads)]
-    rate = 1.0 / float(np.median(passed)) if passed and np.median(passed) > 0 else _RATE
-    size: tuple[int, ...] | None = None
-    with write_video(path, rate=rate) as add:
+    with write_video(path, rate=_rate([head.time for head in frames.heads])) as add:
+        draw = _Drawing(add, camera)
         for frame, image in _with_images(source, frames, advance, "Filming"):
-            if image is None or frame.problem is not None:
-                continue
-            size = image.shape if size is None else size
-            if image.shape != size:  # videos may change it on their way
-                continue
-            caption = f"frame {frame.number}, {frame.time:.2f} s"
-            add(annotated(image, showing.vehicles(frame), camera, caption=caption), frame.time)
+            draw(frame, image)
     return path
+
+
+def _rate(times: Sequence[float]) -> float:
+    """Frames a second, by their times."""
+    passed = np.diff(times)
+    return 1.0 / float(np.median(passed)) if len(passed) and np.median(passed) > 0 else _RATE
+
+
+class _Drawing:
+    """Draws frame after frame of a video."""
+
+    def __init__(self, add: Callable[[Image, float | None], None], camera: Camera) -> None:
+        self._add, self._camera, self._showing = add, camera, Showing()
+        self._size: tuple[int, ...] | None = None
+
+    def __call__(self, frame: TrackedFrame, image: Image | None) -> None:
+        """Draw a frame; one that could not be used is left out."""
+        if image is None or frame.problem is not None:
+            return
+        self._size = image.shape if self._size is None else self._size
+        if image.shape != self._size:  # videos may change it on their way
+            return
+        caption = f"frame {frame.number}, {frame.time:.2f} s"
+        self._add(annotated(image, self._showing.vehicles(frame), self._camera, caption=caption), frame.time)
+
+
+class LiveFilm:
+    """The annotated video of frames whose estimates stay as they come: drawn and encoded meanwhile, beside the caller.
+
+    Attributes:
+        finished: Whether it is written, whole.
+    """
+
+    def __init__(self, path: Path, camera: Camera) -> None:
+        """Begin with the first frame."""
+        self.finished = False
+        self._path, self._camera = path, camera
+        self._frames: Queue[tuple[TrackedFrame, Image] | None] = Queue(_AHEAD)
+        self._thread = Thread(target=self._write, daemon=True)
+        self._whole = True
+        self._error: Exception | None = None
+
+    def add(self, frame: TrackedFrame, image: Image | None, *, read: bool = True) -> None:
+        """Take the next frame; where its image was not `read`, there will be no film."""
+        self._whole &= read
+        if not self._whole or image is None or frame.problem is not None:
+            return
+        if self._thread.ident is None:
+            self._thread.start()
+        self._frames.put((frame, image))
+
+    def end(self, *, whole: bool) -> None:
+        """End it; there is none where it is not the whole one, or had no frame.
+
+        Raises:
+            InvalidInputError: The file cannot be written.
+        """
+        self._whole &= whole
+        if self._thread.is_alive():
+            self._frames.put(None)
+            self._thread.join()
+            if self._error is not None and self._whole:
+                raise self._error
+            self.finished = self._whole
+
+    def _write(self) -> None:
+        frames = iter(self._frames.get, None)
+        first = list(islice(frames, 2))
+        try:
+            with suppress(_Left), write_video(self._path, rate=_rate([frame.time for frame, _ in first])) as add:
+                draw = _Drawing(add, self._camera)
+                for frame, image in chain(first, frames if len(first) == 2 else ()):
+                    draw(frame, image)
+                if not self._whole:
+                    raise _Left
+        except Exception as error:  # noqa: BLE001 - raised by `end`
+            self._error = error
+            for _ in frames:  # whoever adds must not wait
+                pass
+
+
+class _Left(Exception):  # noqa: N818 - no error
+    """A film is not to be written."""
 
 
 def still(

@@ -2,12 +2,15 @@
 
 import json
 import shutil
+import signal
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.video.follow import Follower
 from tests.video.streets import make_drive
 
 FPS = ("--fps", 10)
@@ -139,3 +142,60 @@ def test_a_finished_film_is_not_drawn_again(drive, tmp_path, monkeypatch):
     film.write_bytes(b"torn")
     assert f"Wrote {film}." in run(*asked).stdout
     assert f"Wrote {film}." in run(*asked, "--online").stdout
+
+
+@pytest.mark.parametrize("way", ["--online", "--alone"])
+def test_a_film_is_drawn_while_frames_come_where_estimates_stay(drive, tmp_path, monkeypatch, way):
+    """It is the one that is drawn afterwards; and afterwards it is where frames were looked at before."""
+    av = pytest.importorskip("av", reason="PyAV is not installed: pip install fgrecon[video]")
+    images, file = drive
+    told = (images, "--tracks", file, *FPS, way)
+
+    def pictures(film):
+        with av.open(str(film)) as container:
+            return [(picture.time, picture.to_ndarray()) for picture in container.decode(video=0)]
+
+    with monkeypatch.context() as patched:
+        patched.setattr("fgrecon.cli.run_report.film", pytest.fail)
+        done = run(*told, "--out", tmp_path / "out", "--video", live := tmp_path / "live.mp4")
+        assert (done.exit_code, f"Wrote {live}." in done.stdout) == (0, True)
+        if way == "--online":  # single images say how long each took
+            assert f"{live} shows this already." in run(*told, "--out", tmp_path / "out", "--video", live).stdout
+    assert f"Wrote {tmp_path / 'b.mp4'}." in run(*told, "--out", tmp_path / "out", "--video", tmp_path / "b.mp4").stdout
+    there, again = pictures(live), pictures(tmp_path / "b.mp4")
+    assert len(there) == 3
+    for (time, picture), (other_time, other) in zip(there, again, strict=True):
+        assert time == other_time
+        np.testing.assert_array_equal(picture, other)
+
+
+def test_what_keeps_a_film_from_being_written_is_said_and_leaves_none(drive, tmp_path, monkeypatch):
+    pytest.importorskip("av", reason="PyAV is not installed: pip install fgrecon[video]")
+    images, file = drive
+
+    def fail(*_, **__):
+        raise InvalidInputError("video", "a picture", "Give another.")
+
+    monkeypatch.setattr("fgrecon.viz.film.annotated", fail)
+    film = tmp_path / "a.mp4"
+    done = run(images, "--tracks", file, *FPS, "--online", "--out", tmp_path / "out", "--video", film)
+    assert isinstance(done.exception, InvalidInputError)
+    assert (done.exception.value, film.exists()) == ("a picture", False)
+
+
+def test_a_run_that_is_stopped_leaves_no_film(drive, tmp_path, monkeypatch):
+    pytest.importorskip("av", reason="PyAV is not installed: pip install fgrecon[video]")
+    images, file = drive
+    film = tmp_path / "a.mp4"
+    follow, seen = Follower.__call__, []
+
+    def interrupted(self, record):
+        seen.append(record)
+        if len(seen) == 2:
+            signal.raise_signal(signal.SIGINT)
+        return follow(self, record)
+
+    monkeypatch.setattr(Follower, "__call__", interrupted)
+    done = run(images, "--tracks", file, *FPS, "--online", "--out", tmp_path / "out", "--video", film)
+    assert (done.exit_code, film.exists()) == (130, False)
+    assert not [*tmp_path.glob("*.mp4*")]
