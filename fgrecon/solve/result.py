@@ -240,23 +240,6 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
     (status, message), facing = _status(end, box_size), end.facing
     if np.isnan(facing) and end.part.share == 1.0 and np.isfinite([*camera_T_object.flat, end.optimum.gain]).all():
         facing = facing_by_energies(camera_T_object, end.alternatives)
-    reasons: tuple[str, ...] = ()
-    excess = float("nan")
-    if status.determined:
-        reasons = weaknesses(
-            problem.observation,
-            end.weights,
-            problem.camera,
-            camera_T_object,
-            coefficients,
-            box_size,
-            problem.ground,
-            float(diagnostics["point_weights"].sum()),
-        )
-        if problem.model.size is not None and (larger := problem.model.size.larger):
-            coarse = "a cuboid" if category.name == CUBOID else f"a stretched {category.name}'s"
-            reasons = (*reasons, f"the shape of a {' or '.join(larger)} is {coarse}")
-        excess = box_excess(problem, camera_T_object, coefficients, camera)
     found = Reconstruction(
         status=status,
         message=message,
@@ -289,12 +272,31 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
             weights=end.weights,
             graph_iterations=end.optimum.iterations,
             graph_gain=end.optimum.gain,
-            box_excess=excess,
+            box_excess=box_excess(problem, end.pose, coefficients, camera) if status.determined else float("nan"),
             left_out=problem.observation.left_out,
             **diagnostics,
         ),
     )
-    return weakened(found, reasons)
+    return weakened(found, _reasons(end, box_size, diagnostics["point_weights"])) if status.determined else found
+
+
+def _reasons(end: _End, box_size: Array, point_weights: Array) -> tuple[str, ...]:
+    """Why a pose is weak."""
+    problem, category = end.part.problem, end.part.problem.model.prior.category
+    reasons = weaknesses(
+        problem.observation,
+        end.weights,
+        problem.camera,
+        end.pose,
+        end.shape[0],
+        box_size,
+        problem.ground,
+        float(point_weights.sum()),
+    )
+    if problem.model.size is not None and (larger := problem.model.size.larger):
+        coarse = "a cuboid" if category.name == CUBOID else f"a stretched {category.name}'s"
+        reasons = (*reasons, f"the shape of a {' or '.join(larger)} is {coarse}")
+    return reasons
 
 
 @lru_cache(maxsize=16)

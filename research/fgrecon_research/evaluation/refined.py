@@ -18,16 +18,13 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, matched, wanted
 from fgrecon.core.box3d import Box3D, BoxErrors
-from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import orientation_error
-from fgrecon.core.options import Options
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.serialise import finite
-from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
+from fgrecon.io.run_settings import RunSettings
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
 from fgrecon.simulation.sample import disturbed_boxes
@@ -95,11 +92,8 @@ class Refinement:
     """How boxes are refined."""
 
     detector: KeypointCascade  # finds the keypoints
-    prior: ShapePrior  # shape prior
-    ground: Ground | None  # ground plane, or None
+    settings: RunSettings  # what holds for every vehicle
     errors: BoxErrors  # how far the boxes are taken to be off
-    options: Options  # settings
-    size_prior: SizePrior | None = None  # for boxes without a size, or None
 
 
 def refine_drive(
@@ -174,10 +168,7 @@ def _refine_frame(
         corners=corners,
         box_errors=how.errors,
         keypoint_detector=how.detector,
-        prior=how.prior,
-        ground=how.ground,
-        size_prior=how.size_prior,
-        options=how.options,
+        **how.settings.arguments(),
     )
     scored = []
     for row, j in zip(rows.tolist(), at.tolist(), strict=True):

@@ -72,14 +72,7 @@ def refine_evaluation_command(
     vehicles = []
     with screen.bar() as advance:
         for number, drive in enumerate(drives):
-            how = Refinement(
-                networks[files[drive.name]],
-                settings.prior,
-                settings.ground,
-                errors.errors(),
-                settings.options,
-                settings.size_prior,
-            )
+            how = Refinement(networks[files[drive.name]], settings, errors.errors())
             source = (
                 np.random.default_rng([seed, number])
                 if boxes is None
@@ -91,10 +84,7 @@ def refine_evaluation_command(
         raise InvalidInputError("drives", ", ".join(d.name for d in drives), "Give drives with labelled boxes.")
     screen.print(_table(vehicles).shown())
     for one in vehicles:
-        change = (
-            f"{one.before.metres:.2f} -> {one.after.metres:.2f} m, {one.before.degrees:.1f} -> {one.after.degrees:.1f}"
-        )
-        screen.detail(f"{one.drive}/{one.frame:06d}/{one.index} {one.kind}: {change} degrees. {one.message}")
+        screen.detail(f"{one.drive}/{one.frame:06d}/{one.index} {one.kind}: {_change(one)}. {one.message}")
     given = {
         "drives": [drive.name for drive in drives],
         "boxes": "disturbed labels" if boxes is None else str(boxes),
@@ -121,6 +111,12 @@ def _cars(boxes: Path, drive: Drive, place: Path, min_score: float) -> dict[int,
         frame: one.take(np.array([kind == "Car" for kind in one.kind], dtype=bool) & (one.score >= min_score))
         for frame, one in found.items()
     }
+
+
+def _change(one: RefinedVehicle) -> str:
+    """How far a box is off, before and after."""
+    metres, degrees = (one.before.metres, one.after.metres), (one.before.degrees, one.after.degrees)
+    return f"{_arrow(metres, '.2f')} m, {_arrow(degrees, '.1f')} degrees"
 
 
 def _table(vehicles: Sequence[RefinedVehicle]) -> TextTable:
