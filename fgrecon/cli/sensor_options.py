@@ -66,7 +66,19 @@ class SensorOptions:
     )
     right: Annotated[
         str | None,
-        typer.Option(metavar=_FILES, help="Right images of rectified pairs; KITTI's calibration has both cameras."),
+        typer.Option(metavar=_FILES, help="Right images of pairs; KITTI's calibration has both cameras."),
+    ] = None
+    right_pose: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="From the left camera's frame to the right one's: 12 numbers [R | t], or JSON with a matrix.",
+            show_default="by KITTI's calibration",
+        ),
+    ] = None
+    right_camera: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="The right camera, as --camera takes it.", show_default="as the left one"),
     ] = None
     masks: Annotated[
         str | None,

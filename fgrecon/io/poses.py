@@ -110,16 +110,21 @@ def read_poses(path: Path) -> CameraPoses:
     return CameraPoses(by_frame, tuple(times), tuple(timed[time] for time in times))
 
 
-def read_pose(path: Path) -> Array:
-    """(4, 4) the one motion of a file, of a LiDAR to its camera: 12 numbers [R | t], or JSON with a list of a matrix.
+def read_pose(path: Path, field: str = "lidar_pose", motion: str = "from the LiDAR's frame to the camera's") -> Array:
+    """(4, 4) the one motion of a file: 12 numbers [R | t], or JSON with a list of a matrix.
+
+    Args:
+        path: The file.
+        field: What an error names.
+        motion: What it says has to be given.
 
     Raises:
         InvalidInputError: The file cannot be read, or has another number of motions.
     """
     poses = read_poses(path)
     if list(poses.by_frame) != [0]:
-        fix = "Give one motion from the LiDAR's frame to the camera's: twelve numbers [R | t], or JSON with a matrix."
-        raise InvalidInputError("lidar_pose", str(path), fix)
+        fix = f"Give one motion {motion}: twelve numbers [R | t], or JSON with a matrix."
+        raise InvalidInputError(field, str(path), fix)
     return poses.by_frame[0]
 
 

@@ -15,10 +15,12 @@ from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Evidence, Points, StereoPair
 from fgrecon.core.geometry import rigid
+from fgrecon.io.cameras.camera_file import read_camera
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, calibration_beside, read_calibration
 from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes, sweep_of
+from fgrecon.io.poses import read_pose
 from fgrecon.io.sensors.clouds import CLOUDS
 from fgrecon.io.sensors.depth_files import DEPTHS, read_depth
 from fgrecon.io.sensors.mask_files import MASKS, read_masks
@@ -42,7 +44,9 @@ class SensorSource:
     depth: str | None = None  # depth maps, in the same way
     depth_scale: DepthScale = DepthScale.METRIC  # whether their numbers are metres
     depth_inverse: bool = False  # whether they are inverse depths
-    right: str | None = None  # right images of rectified pairs, in the same way; KITTI's calibration has both cameras
+    right: str | None = None  # right images of pairs, in the same way; KITTI's calibration has both cameras
+    right_camera: str | None = None  # the right camera, as `--camera` takes it; None for that of the calibration
+    right_pose: Path | None = None  # file with the motion from the left camera's frame to the right one's
 
     def __post_init__(self) -> None:
         """Refuse a pose of nothing, and what has no files.
@@ -54,6 +58,9 @@ class SensorSource:
             raise InvalidInputError("lidar_sigma", self.lidar_sigma, "Give the LiDAR's points as well (--lidar).")
         if self.lidar is None and self.lidar_pose is not None:
             raise InvalidInputError("lidar_pose", str(self.lidar_pose), "Give the LiDAR's points as well (--lidar).")
+        if self.right is None and (self.right_pose is not None or self.right_camera is not None):
+            value = str(self.right_pose or self.right_camera)
+            raise InvalidInputError("right_pose", value, "Give the right images as well (--right).")
         if self.depth is None and (self.depth_inverse or self.depth_scale is not DepthScale.METRIC):
             raise InvalidInputError("depth_scale", self.depth_scale.value, "Give the depth maps as well (--depth).")
         for files in self._files:
@@ -66,7 +73,7 @@ class SensorSource:
 
     def to_dict(self) -> dict[str, str]:
         """What is given, for the settings of a run: a file or a folder by its absolute path."""
-        names = "lidar", "lidar_pose", "masks", "depth", "right"
+        names = "lidar", "lidar_pose", "masks", "depth", "right", "right_camera", "right_pose"
         given = {name: one for name in names if (one := getattr(self, name)) is not None}
         found = {name: str(Path(one).absolute()) for name, one in given.items()}
         if any(self.lidar_sigma):
@@ -124,21 +131,38 @@ class SensorSource:
         return tuple(found)
 
     def _of_pair(self, path: Path, right: Path) -> DepthMap:
-        """The depth of an image that is the left one of a rectified pair."""
+        """The depth of an image that is the left one of a pair."""
+        if not path.is_file():
+            raise InvalidInputError("right", f"{right.name} for {path.name}", "Give left images that are files.")
+        if self.right_pose is None:
+            first, second = self._of_kitti(path, right)
+            camera, other = first.camera, second.camera
+            motion = rigid(np.eye(3), second.label_offset - first.label_offset)
+        else:
+            given = self.camera.camera(path.name)[0]
+            if given is None:
+                fix = "Give the left camera as well (--camera, --calib or --intrinsics)."
+                raise InvalidInputError("right_pose", str(self.right_pose), fix)
+            camera = other = self.camera.complete(given, declared=False)
+            motion = read_pose(self.right_pose, "right_pose", "from the left camera's frame to the right one's")
+        if self.right_camera is not None:
+            other = read_camera(self.right_camera, right.name).camera
+        left = read_image(path)
+        return stereo_depth(left, camera.with_size_of(left), StereoPair(read_image(right), other, motion))
+
+    def _of_kitti(self, path: Path, right: Path) -> tuple[KittiCalibration, KittiCalibration]:
+        """The left and the right camera of KITTI's calibration."""
         given = self.camera.calib
         if given is not None:
             file = given / f"{path.stem}.txt" if given.is_dir() else given
-            first: KittiCalibration | None = read_calibration(file)
-            second: KittiCalibration | None = read_calibration(file, "P3")
-        else:
-            first, second = calibration_beside(path), calibration_beside(right)
-        if first is None or second is None or not path.is_file():
-            fix = "Give images as files, and KITTI's calibration, which has P2 and P3 (--calib)."
+            return read_calibration(file), read_calibration(file, "P3")
+        first, second = calibration_beside(path), calibration_beside(right)
+        if first is None or second is None:
+            fix = (
+                "Give KITTI's calibration, which has P2 and P3 (--calib), or where the right camera is (--right-pose)."
+            )
             raise InvalidInputError("right", f"{right.name} for {path.name}", fix)
-        motion = rigid(np.eye(3), second.label_offset - first.label_offset)
-        left = read_image(path)
-        pair = StereoPair(read_image(right), second.camera, motion)
-        return stereo_depth(left, first.camera.with_size_of(left), pair)
+        return first, second
 
     def _file(self, files: SensorFiles, image: Path) -> Path | None:
         found = files.of(image.name)

@@ -46,6 +46,8 @@ def test_a_scan_is_placed_and_knows_where_its_sensor_is(folder: Path) -> None:
         ({"lidar": "nowhere"}, "end in"),
         ({"depth": "nowhere"}, "end in"),
         ({"depth_scale": DepthScale.SCALE}, "--depth"),
+        ({"right_pose": Path("pose.txt")}, "--right"),
+        ({"right_camera": "right.yaml"}, "--right"),
     ],
 )
 def test_what_does_not_fit_is_refused(folder: Path, monkeypatch, given: dict, message: str) -> None:
@@ -83,6 +85,33 @@ def test_a_right_image_makes_a_depth_map(tmp_path: Path) -> None:
         assert np.nanmedian(depth.depth) == pytest.approx(10.0, abs=0.1)  # 300 px * 0.5 m / 15 px
         with pytest.raises(InvalidInputError, match="right"):
             source.evidence(Path("000000.png"))
+
+
+def test_a_right_camera_may_have_files_of_its_own(tmp_path: Path) -> None:
+    texture = np.random.default_rng(0).integers(0, 255, (120, 320, 3), dtype=np.uint8)
+    for name, image in (("left", texture), ("right", np.roll(texture, -15, axis=1))):
+        (tmp_path / name).mkdir()
+        write_png(tmp_path / name / "000000.png", image)
+    (tmp_path / "pose.txt").write_text("1 0 0 -0.5 0 1 0 0 0 0 1 0")
+    cameras = "".join(
+        f"cam{i}:\n  camera_model: pinhole\n  distortion_model: radtan\n  distortion_coeffs: [0, 0, 0, 0]\n"
+        f"  intrinsics: [300, 300, {middle}, 60]\n  resolution: [320, 120]\n"
+        for i, middle in enumerate((160, 165))
+    )
+    (tmp_path / "rig.yaml").write_text(cameras)
+    image = tmp_path / "left" / "000000.png"
+    right = {"right": str(tmp_path / "right"), "right_pose": tmp_path / "pose.txt"}
+    alike = SensorSource(camera=CameraSource(intrinsics=(300, 300, 160, 60)), **right)
+    assert np.nanmedian(alike.evidence(image)[0].depth) == pytest.approx(10.0, abs=0.1)  # 300 px * 0.5 m / 15 px
+    rig = CameraSource(file=f"{tmp_path / 'rig.yaml'}#cam0")
+    apart = SensorSource(camera=rig, right_camera=f"{tmp_path / 'rig.yaml'}#cam1", **right)
+    assert np.nanmedian(apart.evidence(image)[0].depth) == pytest.approx(7.5, abs=0.1)  # 20 px
+    assert apart.to_dict()["right_pose"] == str(tmp_path / "pose.txt")
+    with pytest.raises(InvalidInputError, match=r"right_pose.*--camera"):
+        SensorSource(**right).evidence(image)
+    (tmp_path / "pose.txt").write_text("1 0 0")
+    with pytest.raises(InvalidInputError, match="3 numbers"):
+        alike.evidence(image)
 
 
 def test_masks_are_of_ids_or_of_coco(tmp_path: Path) -> None:
