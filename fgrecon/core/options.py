@@ -33,7 +33,7 @@ class KeypointOptions:
         common_factor: Where the detector gives covariances, by how much keypoints and box say less in the covariances
             of the result than if their errors were independent: those of one vehicle go together. A `cuboid` box is no
             detector's, and counts whole. It moves no result. The default makes regions of the shipped networks hold on
-            KITTI's video, in labelled boxes and in detected ones (docs/reference/result.md).
+            KITTI's video, in labelled boxes and in detected ones.
         facing_bias: Of a result that faces where the detector's directions give probability p, the log odds to face
             the right way are this, and `facing_slope` times those of p. Both by maximum likelihood from 1,246 boxes of
             KITTI's video, each found by networks that had not learnt from its drive; fitted without a drive and tested
@@ -65,8 +65,7 @@ class BoxOptions:
         sigma_relative: Standard deviation of an edge as a fraction of the longer side.
         sigma_pixels: The same in pixels, added in quadrature.
         left: By how much the left edge of a `detected` box is further right than the outline's, as a fraction of its
-            width. The defaults are those of the package's detector on KITTI's video; what `fgrecon calibrate --detect`
-            finds there is as good (docs/history/solver.md).
+            width. The defaults are those of the package's detector on KITTI's video.
         upper: By how much its upper edge is lower, as a fraction of its height.
         right: The right edge, as the left one.
         lower: The lower edge, as the upper one.
@@ -176,7 +175,7 @@ class Options:
         ambiguity_margin: Energy (nats) within which another pose makes the result ambiguous.
         keep_history: Record every iteration.
         traffic: The side that traffic keeps to, where the camera looks along the road: says which way vehicles face,
-            beside what the keypoints' detector says of that (`fgrecon.core.heading_coupling`). None where nobody says.
+            beside what the keypoints' detector says of that. None where nobody says.
     """
 
     strategy: RobustStrategy
