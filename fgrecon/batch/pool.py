@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import Any, ClassVar, Generic, TypeVar
 
 from fgrecon.core.errors import FgreconError
@@ -93,7 +94,7 @@ class _Process(Worker[Piece, Result]):
             except BrokenProcessPool:  # it died while it had nothing to do
                 self._pool.shutdown(wait=False)
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
-        with one_thread_each():
+        with one_thread_each(), _no_interrupts():
             self._begun = self._pool.submit(_begin, self._function)
         return self._pool.submit(run_kept, piece)
 
@@ -188,6 +189,16 @@ def drive(
             worker.end(whole=whole)
 
 
+@contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Processes started inside do not notice Ctrl-C, which a terminal sends to them too, before they ignore it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _begin(function: Callable[[Any], Any]) -> int:
     """Make a worker ready; its process number.
 
@@ -196,6 +207,7 @@ def _begin(function: Callable[[Any], Any]) -> int:
     keep(function)
     without_pandas()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     threading.Thread(target=_follow_parent, daemon=True).start()
     return os.getpid()
 

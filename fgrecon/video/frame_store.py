@@ -10,9 +10,10 @@ import pickle
 import tempfile
 import weakref
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, overload
+from typing import IO, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +58,7 @@ class FrameStore(Sequence[TrackedFrame]):
         """
         self.heads: list[FrameHead] = []
         self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  # closed with the store
-        weakref.finalize(self, self._file.close)
+        weakref.finalize(self, _close, self._file)
         self._places: list[tuple[int, dict[int, int]]] = []  # in the file: of a frame, and of its estimates by id
         self._at: dict[float, int] = {}  # frames with estimates, by their time
         self._shared: dict[int, Any] = {}
@@ -158,3 +159,9 @@ class _Unpickler(pickle.Unpickler):
 
     def find_class(self, module: str, name: str) -> Any:
         return self._shared.__getitem__ if name == _shared.__name__ else super().find_class(module, name)
+
+
+def _close(file: IO[bytes]) -> None:
+    """Close a file without a name: what a full disk did not take is of no use any more."""
+    with suppress(OSError):
+        file.close()

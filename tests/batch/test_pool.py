@@ -27,6 +27,26 @@ def who(piece):
     return [(os.environ["OMP_NUM_THREADS"], os.getpid())] * len(piece)
 
 
+def blocked_while_sent():
+    """Whether Ctrl-C is held back in this process now, as a function of any piece."""
+    return partial(always, signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
+
+
+def always(answer, piece):
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    return [(answer, ignored, signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))] * len(piece)
+
+
+class Interruptible:
+    """Looks whether Ctrl-C would end a worker while it is sent to it."""
+
+    def __reduce__(self):
+        return blocked_while_sent, ()
+
+    def __call__(self, piece):
+        raise AssertionError
+
+
 class Stillborn:
     """Cannot be sent to a worker whole."""
 
@@ -84,3 +104,9 @@ def test_pieces_are_taken_as_workers_are_free(tmp_path):
 def test_workers_that_cannot_begin_end_the_work():
     with pytest.raises(WorkerDiedError, match="before they have begun"):
         all_of(Stillborn(), [[1]], jobs=1)
+
+
+def test_an_interrupt_is_not_for_workers_from_their_start_on():
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    assert all_of(Interruptible(), [[1]], jobs=1) == [(True, True, False)]
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before

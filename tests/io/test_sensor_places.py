@@ -37,8 +37,10 @@ def test_a_pattern_and_a_file_alone(tmp_path: Path) -> None:
     assert SensorFiles("lidar", f"{tmp_path}/*.npz", CLOUDS).of("000004.png") == tmp_path / "000004.npz"
     alone = SensorFiles("lidar", str(tmp_path / "000004.bin"), CLOUDS)
     assert alone.of("whatever.png") == tmp_path / "000004.bin"
+    with pytest.raises(InvalidInputError, match="that exists"):
+        SensorFiles("lidar", str(tmp_path / "gone.npz"), CLOUDS).of("000004.png")
     with pytest.raises(InvalidInputError, match="end in"):
-        SensorFiles("lidar", str(tmp_path / "gone"), CLOUDS).of("000004.png")
+        SensorFiles("lidar", str(tmp_path), ("ply",)).of("000004.png")
 
 
 def test_a_pose_goes_before_calibrations_and_those_before_what_lies_beside(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import errno
 import os
 import pickle
+import tempfile
 import types
 from dataclasses import replace
 
@@ -85,3 +86,12 @@ def test_a_full_disk_is_told(frames):
     store._file = types.SimpleNamespace(seek=lambda *_: 0, write=full)
     with pytest.raises(InvalidInputError, match="No space left on device"):
         store.append(frames[0])
+
+
+def test_on_a_full_disk_the_end_of_a_store_is_silent(monkeypatch):
+    def full():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: types.SimpleNamespace(close=full))
+    store = FrameStore()
+    del store  # pytest makes an error of what a finalizer raises

@@ -36,6 +36,9 @@ class SensorFiles:
                 fix = "Give one file for each image: a pattern chooses among endings."
                 raise InvalidInputError(self.field, f"{found[stem].name} and {path.name}", fix)
             found[stem] = path
+        if not found and not (folder.is_dir() or of_pattern):
+            fix = "Give a file or a folder that exists, or a pattern of such files."
+            raise InvalidInputError(self.field, self.given, fix)
         if not found:
             raise InvalidInputError(self.field, self.given, f"Give files that end in {', '.join(self.endings)}.")
         return found
