@@ -137,7 +137,7 @@ class Iteration:
     __repr__ = brief_repr
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class GraphFactor:
     """One factor of the graph that the result minimises, for drawing.
 

@@ -187,6 +187,105 @@ cdef void residual_rows(const double *X, double u, const double *mean, double *r
         row[a], row[3 + a] = X[a], mean[a] - u * X[a]
 
 
+cdef void averages(
+    const double[:, ::1] X, const double[:, ::1] image_points, const double[::1] w, double *mean, double *means
+) noexcept nogil:
+    """Weighted means (2,) of the image points, and (2, 3) of their products with the points."""
+    cdef int i, a, c
+    for c in range(2):
+        mean[c] = means[3 * c] = means[3 * c + 1] = means[3 * c + 2] = 0.0
+    for i in range(X.shape[0]):
+        for c in range(2):
+            mean[c] += w[i] * image_points[i, c]
+            for a in range(3):
+                means[3 * c + a] += w[i] * image_points[i, c] * X[i, a]
+
+
+cdef double normal_equations(
+    const double[:, ::1] X, const double[:, ::1] image_points, const double[::1] w, const double *mean,
+    const double *means, double *square, double *right, double *widest
+) noexcept nogil:
+    """A'A (9, 9) and A'b (9,) of the cost |A r - b|^2; |b|^2, and the largest deviation of an image point."""
+    cdef int i, j, k, a, c
+    cdef double row[6]
+    cdef double full[9]
+    cdef double off, spread = 0.0
+    widest[0] = 0.0
+    for i in range(81):
+        square[i] = 0.0
+    for i in range(9):
+        right[i] = 0.0
+    for i in range(X.shape[0]):
+        for c in range(2):
+            residual_rows(&X[i, 0], image_points[i, c], means + 3 * c, row)
+            off = image_points[i, c] - mean[c]
+            widest[0], spread = max(widest[0], fabs(off)), spread + w[i] * off * off
+            for a in range(9):
+                full[a] = 0.0
+            for a in range(3):
+                full[3 * c + a], full[6 + a] = row[a], row[3 + a]
+            for j in range(9):
+                right[j] += w[i] * full[j] * off
+                for k in range(9):
+                    square[9 * j + k] += w[i] * full[j] * full[k]
+    return spread
+
+
+cdef void quartic_of(
+    const double *square, const double *right, const double[:, ::1] forms, double *S, double *L
+) noexcept nogil:
+    """S (10, 10) and L (4, 4) of F, for r = forms m(q)."""
+    cdef int i, j, k, l
+    cdef double half[90]
+    cdef double total
+    for j in range(9):
+        for k in range(10):
+            total = 0.0
+            for l in range(9):
+                total += square[9 * j + l] * forms[l, k]
+            half[10 * j + k] = total
+    for j in range(10):
+        for k in range(10):
+            total = 0.0
+            for l in range(9):
+                total += forms[l, j] * half[10 * l + k]
+            S[10 * j + k] = total
+    for i in range(4):
+        for j in range(4):
+            total = 0.0
+            for l in range(9):
+                total -= 2.0 * right[l] * forms[l, pair(i, j)]
+            L[4 * i + j] = total if i == j else 0.5 * total
+
+
+cdef void told_of(
+    const double[:, ::1] X, const double[:, ::1] image_points, const double[::1] w, const double *mean,
+    const double *means, const double[:, ::1] forms, const double *q, double *r, double *told
+) noexcept nogil:
+    """r (9,) of a minimum q; its squared length, the rms, and the share of the weight behind the camera."""
+    cdef int i, k, l, a, c
+    cdef double row[6]
+    cdef double error
+    told[0] = told[1] = told[2] = 0.0
+    for i in range(4):
+        told[0] += q[i] * q[i]
+    for l in range(9):
+        r[l] = 0.0
+        for i in range(4):
+            for k in range(i, 4):
+                r[l] += forms[l, pair(i, k)] * q[i] * q[k]
+    for i in range(X.shape[0]):
+        for c in range(2):
+            residual_rows(&X[i, 0], image_points[i, c], means + 3 * c, row)
+            error = mean[c] - image_points[i, c]
+            for a in range(3):
+                error += row[a] * r[3 * c + a] + row[3 + a] * r[6 + a]
+            told[1] += w[i] * error * error
+        if 1.0 + r[6] * X[i, 0] + r[7] * X[i, 1] + r[8] * X[i, 2] <= 0.0:
+            told[2] += w[i]
+    told[1] = sqrt(told[1])
+
+
 def pnp(
     const double[:, ::1] X, const double[:, ::1] image_points, const double[::1] w, const double[:, ::1] forms,
     const double[:, ::1] seeds, int steps, double converged, double same
@@ -202,97 +301,38 @@ def pnp(
         (B', 9) r of each, and (B', 3): the squared length of q, the rms, and the share of the weight behind the camera;
         then the rms of an object at infinity, and the largest deviation of an image point from the mean.
     """
-    cdef int N = X.shape[0], i, j, k, l, a, c, count
+    cdef int i, j, count
     cdef double mean[2]
     cdef double means[6]
-    cdef double row[6]
-    cdef double full[9]
     cdef double square[81]
     cdef double right[9]
     cdef double S[100]
-    cdef double half[90]
     cdef double L[16]
     cdef double D[160]
-    cdef double norm_S, norm_L, spread = 0.0, widest = 0.0, off, error, scale, total
+    cdef double spread, widest, scale
     cdef double[:, ::1] starts = np.empty((seeds.shape[0], 4))
     cdef double[:, ::1] q = np.empty((seeds.shape[0], 4))
     cdef double[::1] values = np.empty(seeds.shape[0])
     cdef double[:, ::1] r, told
-    if X.shape[1] != 3 or image_points.shape[0] != N or image_points.shape[1] != 2 or w.shape[0] != N:
+    if X.shape[1] != 3 or image_points.shape[1] != 2 or not X.shape[0] == image_points.shape[0] == w.shape[0]:
         raise ValueError("X (N, 3), image_points (N, 2) and w (N,) are wanted")
     if forms.shape[0] != 9 or forms.shape[1] != 10 or seeds.shape[1] != 4:
         raise ValueError("forms (9, 10) and seeds (B, 4) are wanted")
     with nogil:
-        mean[0] = mean[1] = 0.0
-        for i in range(6):
-            means[i] = 0.0
-        for i in range(N):
-            for c in range(2):
-                mean[c] += w[i] * image_points[i, c]
-                for a in range(3):
-                    means[3 * c + a] += w[i] * image_points[i, c] * X[i, a]
-        for i in range(81):
-            square[i] = 0.0
-        for i in range(9):
-            right[i] = 0.0
-        for i in range(N):
-            for c in range(2):
-                residual_rows(&X[i, 0], image_points[i, c], &means[3 * c], row)
-                off = image_points[i, c] - mean[c]
-                widest, spread = max(widest, fabs(off)), spread + w[i] * off * off
-                for a in range(9):
-                    full[a] = 0.0
-                for a in range(3):
-                    full[3 * c + a], full[6 + a] = row[a], row[3 + a]
-                for j in range(9):
-                    right[j] += w[i] * full[j] * off
-                    for k in range(9):
-                        square[9 * j + k] += w[i] * full[j] * full[k]
-        for j in range(9):
-            for k in range(10):
-                total = 0.0
-                for l in range(9):
-                    total += square[9 * j + l] * forms[l, k]
-                half[10 * j + k] = total
-        for j in range(10):
-            for k in range(10):
-                total = 0.0
-                for l in range(9):
-                    total += forms[l, j] * half[10 * l + k]
-                S[10 * j + k] = total
-        for i in range(4):
-            for j in range(4):
-                total = 0.0
-                for l in range(9):
-                    total -= 2.0 * right[l] * forms[l, pair(i, j)]
-                L[4 * i + j] = total if i == j else 0.5 * total
-        norm_S, norm_L = scaled(S, 100), scaled(L, 16)
+        averages(X, image_points, w, mean, means)
+        spread = normal_equations(X, image_points, w, mean, means, square, right, &widest)
+        quartic_of(square, right, forms, S, L)
+        scale = scaled(S, 100)
+        scale = sqrt(scaled(L, 16) / scale)
         derivatives_of(S, D)
         count = lengthened(D, L, seeds, &starts[0, 0])
         count = descended(D, L, &starts[0, 0], count, steps, converged, same, &q[0, 0], &values[0])
-        scale = sqrt(norm_L / norm_S)
     r, told = np.empty((count, 9)), np.empty((count, 3))
     with nogil:
         for j in range(count):
-            told[j, 0] = told[j, 1] = told[j, 2] = 0.0
             for i in range(4):
                 q[j, i] *= scale
-                told[j, 0] += q[j, i] * q[j, i]
-            for l in range(9):
-                r[j, l] = 0.0
-                for i in range(4):
-                    for k in range(i, 4):
-                        r[j, l] += forms[l, pair(i, k)] * q[j, i] * q[j, k]
-            for i in range(N):
-                for c in range(2):
-                    residual_rows(&X[i, 0], image_points[i, c], &means[3 * c], row)
-                    error = mean[c] - image_points[i, c]
-                    for a in range(3):
-                        error += row[a] * r[j, 3 * c + a] + row[3 + a] * r[j, 6 + a]
-                    told[j, 1] += w[i] * error * error
-                if 1.0 + r[j, 6] * X[i, 0] + r[j, 7] * X[i, 1] + r[j, 8] * X[i, 2] <= 0.0:
-                    told[j, 2] += w[i]
-            told[j, 1] = sqrt(told[j, 1])
+            told_of(X, image_points, w, mean, means, forms, &q[j, 0], &r[j, 0], &told[j, 0])
     return np.asarray(r), np.asarray(told), sqrt(spread), widest
 
 
