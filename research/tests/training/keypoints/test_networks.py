@@ -22,7 +22,7 @@ torch = pytest.importorskip("torch")
 from fgrecon.perception.keypoints.layout import KNetSettings  # noqa: E402
 from fgrecon_research.training.keypoints.knet import KNet, load_imagenet  # noqa: E402
 from fgrecon_research.training.keypoints.losses import gaussian_maps, knet_loss  # noqa: E402
-from fgrecon_research.training.keypoints.train import Training, train_knet  # noqa: E402
+from fgrecon_research.training.keypoints.train import HeldOut, Training, train_knet  # noqa: E402
 from fgrecon_research.training.keypoints.trainer import load_checkpoint  # noqa: E402
 from fgrecon_research.training.keypoints.views import TrainingSet, azimuth_weights  # noqa: E402
 
@@ -173,6 +173,24 @@ def test_an_interrupted_training_ends_like_an_uninterrupted_one(photographs, tmp
         torch.testing.assert_close(value, resumed.state_dict()[name], msg=name)
     assert [report.step for report in reports] == [2, 4]
     assert set(reports[0].losses) == {"total", "maps", "visible", "azimuth"}
+
+
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_a_training_on_a_device_gives_a_network_for_any(photographs, tmp_path, device):
+    if device != "cpu" and not torch.cuda.is_available():
+        pytest.skip("there is no GPU")
+    prepared, _ = photographs
+    how = Training(steps=2, batch=2, warmup=1, save_every=1, workers=0, network=SMALL, street=Street(size=32))
+    held = HeldOut.draw(prepared, np.arange(4), how.street, MIRROR, 0, 4)
+    arguments = (TrainingSet(prepared, np.arange(4), np.full(4, 0.25)), MIRROR, tmp_path / "a.pt", how)
+    reports = []
+    train_knet(*arguments, device=device, held=held, report=reports.append, until=1)
+    network = train_knet(*arguments, device=device, held=held, report=reports.append)
+    assert [report.step for report in reports] == [1, 2]
+    assert all(np.isfinite([report.score, *report.losses.values()]).all() for report in reports)
+    state = mean_state(KNet(SMALL).state_dict(), network.state_dict(), 0.5)
+    path = save_weights(tmp_path / "w.safetensors", Stored(state, SMALL.to_dict(), ConfidenceCalibration(), {}))
+    assert all(torch.isfinite(value).all() for value in load_tensors(path).state.values())
 
 
 def test_a_checkpoint_of_another_network_is_refused(photographs, tmp_path):
