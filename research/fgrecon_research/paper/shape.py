@@ -262,12 +262,17 @@ def unsymmetrised_prior(models: Apollo79, exclude: Sequence[str], basis: int = 5
     return replace(prior, offset_sigma=np.hypot(prior.offset_sigma, BIAS))
 
 
+ABSENT = frozenset({"direction", "points", "depth", "range", "mask"})
+"""Terms of a detector's directions and of other sensors, which simulated views do not have."""
+
+
 def variants(options: Options) -> dict[str, Options]:
     """Settings by name: as they are, each term switched the other way, no free offsets, the Laplacian as printed."""
     disabled = options.disabled_terms
     switched = {
         f"with {term}" if term in disabled else f"without {term}": replace(options, disabled_terms=disabled ^ {term})
         for term in Options.TERMS
+        if term not in ABSENT
     }
     literal = replace(options, shape=replace(options.shape, literal_laplacian=True))
     return {
