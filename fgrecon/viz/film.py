@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
+from fgrecon.core.result_fields import Status
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.frames import FrameSource
 from fgrecon.io.video import write_video
@@ -82,8 +83,9 @@ class Showing:
         if not self._beside_table:
             words.append(f"{np.linalg.norm(result.location):.0f} m")
         speed, sigma = estimate.speed, estimate.speed_sigma or 0.0
-        if speed is not None and estimate.world_T_object is not None:  # from the camera alone it means little
-            words += [f"{3.6 * speed:.0f} km/h"] if sigma <= max(speed, _STANDING) else []
+        moves = estimate.world_T_object is not None and result.status is not Status.AMBIGUOUS
+        if speed is not None and moves:  # from the camera alone it means little, and of another pose it is another one
+            words += [f"{3.6 * speed:.0f} km/h"] if 2.0 * sigma <= max(speed, 2.0 * _STANDING) else []
         return ", ".join(words)
 
     def frame(self, frame: TrackedFrame, image: NDArray[np.uint8] | None) -> RecordedFrame:

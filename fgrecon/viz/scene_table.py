@@ -20,6 +20,7 @@ from fgrecon.viz.subjects import ORIENTATION_ERROR, TRANSLATION_ERROR, DrawnScen
 _MINUS = str.maketrans("-", "−")
 _WORDS = 30  # characters of a model's name
 _WIDE = 100.0  # metres from which on there is no room for a decimal
+_ROUGH = 10.0  # metres: to so much a distance is known whose decimal tells nothing
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ def scene_page(scene: DrawnScene) -> ScenePage:
         columns = (("position error [m]", 0.6), ("yaw [°]", 1.0))
         cells = [_errors(v, scene.starts.get(v.identity)) for v in ordered]
     elif not few and detected:
-        columns = (("dist. [m]", 0.46), ("yaw [°]", 0.685), ("detected", 1.0))
+        columns = (("dist. [m]", 0.44), ("yaw [°]", 0.685), ("detected", 1.0))
         cells = [
             (distance, yaw.partition(" ")[0], v.detection) for v, (distance, yaw) in zip(ordered, cells, strict=True)
         ]
@@ -79,8 +80,8 @@ def _values(vehicle: DrawnVehicle) -> tuple[str, ...]:
         return ("refused" if vehicle.result is None else vehicle.result.status.value, "")
     result, _ = vehicle.posed
     distance, yaw = float(np.linalg.norm(result.location)), float(np.degrees(result.rotation_y))
-    digits = 1 if distance < _WIDE else 0
     bounds = bounds_of(result)
+    digits = 1 if distance < _WIDE and (bounds is None or bounds[0] < _ROUGH) else 0
     if bounds is None:
         return (f"{distance:.{digits}f}", f"{yaw:.0f}".translate(_MINUS))
     return (_within(distance, bounds[0], distance, digits), _within(yaw, bounds[1], 180.0, 0))

@@ -34,12 +34,14 @@ def test_words_have_commas_and_tell_nothing_that_the_table_does():
 
 
 def test_a_speed_that_may_as_well_be_none_is_not_written():
-    def words(speed, sigma):
+    def words(speed, sigma, status=Status.CONVERGED):
         velocity, covariance = np.array([0.0, 0.0, speed]), np.diag([1e4, 1e4, sigma**2])
-        shown = replace(frame(0).estimates[5], velocity=velocity, velocity_covariance=covariance)
+        shown = replace(frame(0, status=status).estimates[5], velocity=velocity, velocity_covariance=covariance)
         return Showing(beside_table=True).vehicles(replace(frame(0), estimates={5: shown}))[0].words
 
     assert words(68.0, 70.0) == ""
+    assert words(68.0, 40.0) == ""  # 95 % reach zero
+    assert words(68.0, 2.0, Status.AMBIGUOUS) == ""
     assert words(68.0, 2.0) == "245 km/h"
     assert words(0.1, 0.5) == "0 km/h"  # it stands
 

@@ -135,6 +135,9 @@ def test_the_table_tells_what_is_known(example, seen):
     sigma = np.sqrt(towards @ position_covariance(first.camera_T_object, first.uncertainty.pose_covariance) @ towards)
     assert page.rows[0].cells[0] == f"{distance:.1f} ± {1.96 * sigma:.1f}"
     assert page.rows[0].details[-1].endswith("converged")
+    rough = changed(first, pose_covariance=first.uncertainty.pose_covariance * (10.5 / (1.96 * sigma)) ** 2)
+    (row,) = scene_page(scene_of([replace(vehicles[0], result=rough)])).rows
+    assert row.cells[0] == f"{distance:.0f} ± 10"  # no decimal that tells nothing
     many = [replace(vehicles[0], identity=number) for number in range(7)]
     assert [name for name, _ in scene_page(scene_of(many)).columns][-1] == "l [m]"
     spoken = scene_page(scene_of([replace(v, words="30 km/h") for v in vehicles]))
