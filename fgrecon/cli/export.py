@@ -13,8 +13,9 @@ from fgrecon.cli.terminal import Verbosity
 from fgrecon.core.text import counted
 
 _FORMATS = (
-    "nuscenes, nuscenes_tracking, coco, cityscapes3d, openlabel, label_studio or scalabel for .json; cvat for .xml; "
-    "foxglove, vision_msgs or ros2 for .mcap; kitti, tum or kitti_poses for .txt."
+    "nuscenes, nuscenes_tracking, coco, cityscapes3d, openlabel, label_studio, scalabel, labelme, supervisely, "
+    "datumaro or fiftyone for .json; cvat for .xml; foxglove, vision_msgs or ros2 for .mcap; kitti, tum or kitti_poses "
+    "for .txt."
 )
 
 
@@ -79,10 +80,10 @@ def export_command(
 
     PLY and GLB: surfaces and wireframes in the camera frame. CSV and Parquet: one row per vehicle. TXT: KITTI's result
     lines of one image, in the frame of KITTI's labels where the results know it; or the camera's path (TUM, KITTI).
-    JSON: nuScenes' detections or tracks, COCO's keypoints with cuboids, Cityscapes' 3D boxes, OpenLABEL, Label Studio
-    or scalabel. XML: CVAT. FEATHER:
-    Argoverse 2's detections. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray, under an upright frame `map`; or
-    with rviz's markers and Foxglove's scenes in a copy of the bag that a run was on (ros2).
+    JSON: nuScenes' detections or tracks, COCO's keypoints with cuboids, Cityscapes' 3D boxes, OpenLABEL, Label Studio,
+    scalabel, labelme, Supervisely, datumaro or FiftyOne. XML: CVAT. FEATHER: Argoverse 2's detections.
+    MCAP: Foxglove's scenes, or ROS 2's Detection3DArray, under an upright frame `map`; or with rviz's markers and
+    Foxglove's scenes in a copy of the bag that a run was on (ros2).
     --verbose names the vehicles.
 
     Of a video's run JSON, FEATHER, MCAP and the camera's path are made; its folder has tables already.

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -571,3 +572,77 @@ def _tracklets() -> str:
     return (
         f"<boost_serialization><tracklets><count>{len(items)}</count>{''.join(items)}</tracklets></boost_serialization>"
     )
+
+
+def write_zod(root: Path) -> Path:
+    """The two sweeps as frames, of the first camera as a fisheye; names of the second as a program writes them."""
+    frames = []
+    lidar = pose([-np.pi / 2 + 0.01, 0.004, -0.002], [1.1, 0.01, 2.05])
+    camera = CAMERAS[0]
+    near = [TIMES_NS[0] - 40_000_000 + 20_000_000 * i for i in range(12)]
+    seconds = [1_650_000_000 + (time - TIMES_NS[0]) * 1e-9 for time in (*near, *TIMES_NS)]
+    for number, time in enumerate(TIMES_NS):
+        stamp = datetime.fromtimestamp(1_650_000_000, UTC) + timedelta(milliseconds=100 * number)
+        key, folder = f"{number:06d}", f"single_frames/{number:06d}"
+        files = {
+            camera: f"{folder}/camera_{camera}/{key}_{stamp:%Y-%m-%dT%H%M%S.%fZ}.jpg"
+            for camera in ("front_blur", "front_dnat")
+        }
+        for file in files.values():
+            write_image(root / file)
+        here = world_T_vehicle(time)
+        mounted = np.linalg.inv(here @ lidar)
+        labels = [_zod_label(v, mounted @ world_T_box(v, time), number) for v in VEHICLES]
+        labels.append({"geometry": {"coordinates": [[1, 2], [3, 4]]}, "properties": _zod_plain("far", "Van", number)})
+        calibration = {
+            "extrinsics": camera.vehicle_T_camera.tolist(),
+            "lidar_extrinsics": lidar.tolist(),
+            "intrinsics": np.column_stack([camera.matrix, np.zeros(3)]).tolist(),
+            "distortion": [0.04, -0.02, 0.006, -0.001],
+            "undistortion": [0.0] * 4,
+            "image_dimensions": [WIDTH, HEIGHT],
+            "field_of_view": [120.0, 67.0],
+        }
+        order = np.argsort(seconds)
+        motion = {
+            "timestamps": [seconds[i] for i in order],
+            "poses": [world_T_vehicle((*near, *TIMES_NS)[i]).tolist() for i in order],
+            **{name: [[0.0] * 3] * len(seconds) for name in ("velocities", "accelerations", "angular_rates")},
+            "origin_lat_lon": [57.7, 11.9],
+        }
+        for name, content in (("calibration", {"FC": calibration}), ("ego_motion", motion), ("objects", labels)):
+            (root / folder / f"{name}.json").write_text(json.dumps(content))
+        shot = {"time": stamp.isoformat(), "height": HEIGHT, "width": WIDTH}
+        lidars = [{"filepath": f"{folder}/lidar.npy", "time": stamp.isoformat(), "is_compensated": True}]
+        frames.append(
+            {
+                "id": key,
+                **dict.fromkeys(("start_time", "end_time", "keyframe_time"), stamp.isoformat()),
+                "calibration_path": f"{folder}/calibration.json",
+                "ego_motion_path": f"{folder}/ego_motion.json",
+                **dict.fromkeys(("metadata_path", "oxts_path", "vehicle_data_path"), f"{folder}/none"),
+                "annotations": {
+                    "object_detection": {"filepath": f"{folder}/objects.json", "project": "object_detection"}
+                },
+                "camera_frames": {name: [{"filepath": file, **shot}] for name, file in files.items()},
+                "lidar_frames": {"velodyne": lidars},
+            }
+        )
+    words = {key: key.split("_")[0] + "".join(part.title() for part in key.split("_")[1:]) for key in frames[1]}
+    frames[1] = {words[key]: value for key, value in frames[1].items()}
+    (root / "trainval-frames-mini.json").write_text(json.dumps({"train": frames[:1], "val": frames[1:]}))
+    return root
+
+
+def _zod_plain(name, kind, number):
+    return {"annotation_uuid": f"{name}-{number}", "class": "Vehicle", "type": kind, "unclear": False}
+
+
+def _zod_label(vehicle, lidar_T_box, number):
+    turn = dict(zip("wxyz", wxyz(lidar_T_box), strict=True))
+    length, width, height = vehicle.size
+    more = {"size_3d_length": length, "size_3d_width": width, "size_3d_height": height, "occlusion_ratio": "Light"}
+    more |= {f"orientation_3d_q{part}": value for part, value in turn.items()}
+    more["location_3d"] = {"coordinates": lidar_T_box[:3, 3].tolist(), "type": "Point"}
+    drawn = {"coordinates": [[10.0, 40.0], [30.0, 20.0], [50.0, 60.0], [30.0, 80.0]], "type": "MultiPoint"}
+    return {"geometry": drawn, "properties": _zod_plain(vehicle.name, "Car", number) | more}

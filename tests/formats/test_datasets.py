@@ -20,10 +20,11 @@ WRITERS = {
     "cityscapes3d": made_up.write_cityscapes3d,
     "waymo": made_up.write_waymo,
     "kitti_raw": made_up.write_kitti_raw,
+    "zod": made_up.write_zod,
 }
 ENVIRONMENTS = {"truckscenes": "nuscenes"}
 ROOTS = {"kitti_raw": "2011_09_26", "nuscenes": "v1.0-mini", "truckscenes": "v1.0-mini", "argoverse2": "val"}
-SEQUENCES = {"cityscapes3d": ("#aachen", "#bochum")}
+SEQUENCES = {"cityscapes3d": ("#aachen", "#bochum"), "zod": ("#frames/000000", "#frames/000001")}
 CAMERAS = {
     "nuscenes": "scene-0001/CAM_FRONT",
     "truckscenes": "CAM_FRONT",
@@ -32,6 +33,7 @@ CAMERAS = {
     "cityscapes3d": "aachen",
     "waymo": "FRONT",
     "kitti_raw": "image_02",
+    "zod": "frames/000000/front_blur",
 }
 METRES, PIXELS = 1e-6, 1e-3
 
@@ -147,7 +149,7 @@ def test_images_bring_their_cameras(written):
     assert all(image.path.is_file() for image in images)
     found = read_camera(f"{folder}#{CAMERAS[name]}")
     assert found.camera.matrix.tolist() == images[0].lens.matrix.tolist()
-    assert (found.camera.distortion is not None) == (name == "waymo")
+    assert (found.camera.distortion is not None) == (name in ("waymo", "zod"))
 
 
 def test_what_is_not_named_is_asked_for(tmp_path):
@@ -238,3 +240,25 @@ def test_a_malformed_file_of_kittis_raw_data_is_named(tmp_path, file, change, me
     path.write_text(change(path.read_text()))
     with pytest.raises(InvalidInputError, match=message):
         open_drive(f"{tmp_path}#image_02")
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "message"),
+    [
+        (
+            "objects.json",
+            ('"orientation_3d_qw": 0', '"orientation_3d_qw": 30'),
+            r"\[0\]\.properties\.orientation_3d_qw",
+        ),
+        ("objects.json", ("size_3d_width", "width"), r"objects.json: \[0\]\.properties\.size_3d_width: got nothing"),
+        ("calibration.json", ('"FC"', '"front"'), r"calibration.json: FC: got nothing"),
+        ("calibration.json", ("[1600, 900]", "[1600]"), r"calibration.json: FC\.image_dimensions"),
+        ("ego_motion.json", ('"timestamps": [', '"timestamps": [0, '), r"ego_motion.json: poses.*list of 15"),
+        ("../../trainval-frames-mini.json", ("2022-04-15", "noon"), r"train\[0\]\.keyframe_time: got noon"),
+    ],
+)
+def test_a_malformed_file_of_zod_is_named(tmp_path, file, change, message):
+    path = made_up.write_zod(tmp_path) / "single_frames/000000" / file
+    path.write_text(path.read_text().replace(*change))
+    with pytest.raises(InvalidInputError, match=message):
+        open_drive(f"{tmp_path}#frames/000000/front_blur")

@@ -38,17 +38,30 @@ def read_back(path):
     return read_any_keypoints(path, CATEGORY).instances
 
 
-@pytest.mark.parametrize(("name", "kind"), [("c.xml", None), ("l.json", "label_studio"), ("s.json", "scalabel")])
+ROUNDED = {"supervisely": 0.5001}
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("c.xml", None),
+        ("l.json", "label_studio"),
+        *((f"{kind}.json", kind) for kind in ("scalabel", "labelme", "supervisely", "datumaro", "fiftyone")),
+    ],
+)
 def test_keypoints_and_boxes_come_back(cars, tmp_path, name, kind):
     path = export(tmp_path / name, cars, kind)
     vehicles = read_back(path)
     assert [vehicle.kind for vehicle in vehicles] == ["Car", "Van"]
-    assert {vehicle.image for vehicle in vehicles} == {"street.png"}
+    assert {vehicle.image for vehicle in vehicles} == ({None} if kind == "supervisely" else {"street.png"})
+    off = ROUNDED.get(kind, 1e-9)
     for vehicle, item in zip(vehicles, cars, strict=True):
         observation = vehicle.observation
-        assert np.abs(observation.keypoints - item.result.pose.wireframe_uv).max() < 1e-9
-        assert np.abs(observation.box - image_box(item)).max() < 1e-9
-        if kind != "label_studio":
+        assert np.abs(observation.keypoints - item.result.pose.wireframe_uv).max() < off
+        assert np.abs(observation.box - image_box(item)).max() < off
+        if kind == "fiftyone":
+            assert np.abs(observation.confidence - item.result.diagnostics.visibility).max() < 1e-9
+        elif kind not in ("label_studio", "supervisely"):
             hidden = item.result.diagnostics.visibility < 0.5
             assert (observation.confidence < 1.0).tolist() == hidden.tolist()
 
@@ -76,6 +89,42 @@ def test_a_cuboid_behind_the_camera_and_a_size_that_is_not_known(cars, tmp_path)
     assert [shape.tag for shape in root.find("image")] == ["skeleton", "box"]
     bare = [replace(cars[0], camera=None)]
     assert ET.parse(export(tmp_path / "c.xml", bare)).getroot().find("image").get("width") is None
-    for kind in ("label_studio", "scalabel"):
+    for kind in ("label_studio", "scalabel", "supervisely", "datumaro", "fiftyone"):
         with pytest.raises(InvalidInputError, match=r"image of unknown size, street\.png"):
             export(tmp_path / "x.json", bare, kind)
+
+
+@pytest.mark.parametrize("kind", ["labelme", "supervisely"])
+def test_vehicles_of_two_images_have_a_file_each(cars, tmp_path, kind):
+    two = [cars[0], replace(cars[1], image="other.png")]
+    with pytest.raises(InvalidInputError, match=r"vehicles of 2 images.*Write a file for each"):
+        export(tmp_path / "x.json", two, kind)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda sample: sample.pop("metadata"), r"samples\[0\]\.metadata\.width: got nothing"),
+        (lambda sample: sample["keypoints"]["keypoints"][0]["names"].pop(), r"keypoints\[0\]\.names: got 13 and 14"),
+        (
+            lambda sample: sample["detections"]["detections"][0].update(bounding_box=[1, 2]),
+            r"detections\[0\]\.bounding_box: got 2 elements",
+        ),
+    ],
+)
+def test_a_malformed_sample_of_fiftyone_is_named(cars, tmp_path, change, message):
+    path = export(tmp_path / "x.json", cars[:1], "fiftyone")
+    data = json.loads(path.read_text())
+    change(data["samples"][0])
+    path.write_text(json.dumps(data))
+    with pytest.raises(InvalidInputError, match=message):
+        read_any_keypoints(path, CATEGORY)
+
+
+def test_points_that_fiftyone_has_as_nan_are_not_there(cars, tmp_path):
+    path = export(tmp_path / "x.json", cars[:1], "fiftyone")
+    data = json.loads(path.read_text())
+    data["samples"][0]["keypoints"]["keypoints"][0]["points"][3] = [float("nan")] * 2
+    path.write_text(json.dumps(data))
+    (vehicle,) = read_any_keypoints(path, CATEGORY).instances
+    assert np.flatnonzero(~vehicle.observation.measured).tolist() == [3]

@@ -42,7 +42,7 @@ __all__ = [
     "submitted_boxes",
 ]
 
-NAMES = "nuscenes", "argoverse2", "kitti360", "waymo", "cityscapes3d", "kitti_raw"
+NAMES = "nuscenes", "argoverse2", "kitti360", "waymo", "cityscapes3d", "kitti_raw", "zod"
 """The modules that read data sets, in the order in which they are tried."""
 
 

@@ -49,7 +49,7 @@ def cvat_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -
         ET.SubElement(label, "type").text = "any" if name in kinds else "points"
         ET.SubElement(label, "attributes")
     for number, (name, items) in enumerate(by_image(results).items()):
-        size = _size(items)
+        size = image_size(items)
         wide = {} if size is None else {"width": str(size[0]), "height": str(size[1])}
         known = info_of(name, images).image_id
         key = str(known if isinstance(known, int) else number)
@@ -63,13 +63,13 @@ def cvat_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -
 def _cvat_shapes(image: ET.Element, item: NamedResult, group: str) -> None:
     shared = {"label": item.kind or "Car", "source": "auto", "z_order": "0", "group_id": group}
     skeleton = ET.SubElement(image, "skeleton", shared)
-    for name, uv, seen in _points(item):
+    for name, uv, seen in keypoints_of(item):
         u, v = uv.tolist()
         place = {"points": f"{u!r},{v!r}", "outside": "0", "occluded": str(int(not seen))}
         ET.SubElement(skeleton, "points", {"label": name, "source": "auto", **place})
     box = dict(zip(("xtl", "ytl", "xbr", "ybr"), map(repr, image_box(item).tolist()), strict=True))
     ET.SubElement(image, "box", {**shared, "occluded": "0", **box})
-    pixels = _corner_pixels(item)
+    pixels = corner_pixels(item)
     if pixels is not None:
         ends = dict(zip(_CVAT_CORNERS, pixels[list(_CVAT_ORDER)].tolist(), strict=True))
         placed = {f"{axis}{end}": repr(uv[i]) for end, uv in ends.items() for i, axis in enumerate("xy")}
@@ -84,7 +84,7 @@ def label_studio_text(results: Sequence[NamedResult], images: Mapping[str, Image
     """
     tasks = []
     for number, (name, items) in enumerate(by_image(results).items(), start=1):
-        size = _known_size(name, items)
+        size = known_size(name, items)
         regions = [region for item in items for region in _label_studio_regions(item, size)]
         scores = [score(item) for item in items]
         made = {"id": number, "result": regions, "score": float(np.mean(scores)), "model_version": "fgrecon"}
@@ -118,7 +118,7 @@ def _label_studio_regions(item: NamedResult, size: tuple[int, int]) -> list[dict
             "parentID": item.name,
             "value": {**dict(zip("xy", (uv * unit).tolist(), strict=True)), "width": 0.5, "keypointlabels": [name]},
         }
-        for name, uv, _ in _points(item)
+        for name, uv, _ in keypoints_of(item)
     ]
     return [shared | region for region in [box, *points]]
 
@@ -131,7 +131,7 @@ def scalabel_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo
     """
     frames = []
     for number, (name, items) in enumerate(by_image(results).items()):
-        width, height = _known_size(name, items)
+        width, height = known_size(name, items)
         time = info_of(name, images).timestamp
         frames.append(
             {
@@ -162,7 +162,7 @@ def _scalabel_label(item: NamedResult) -> dict[str, Any]:
     x, _, z = pose[:3, 3]
     nodes = [
         {"id": name, "category": name, "location": uv.tolist(), "visibility": "V" if seen else "N", "type": "keypoint"}
-        for name, uv, seen in _points(item)
+        for name, uv, seen in keypoints_of(item)
     ]
     names = keypoint_names(item)
     edges = [{"source": names[a], "target": names[b]} for a, b in result.shape.edges.tolist()]
@@ -192,7 +192,7 @@ def _intrinsics(items: Sequence[NamedResult]) -> dict[str, Any] | None:
     return {"focal": [fx, fy], "center": [cx, cy], "skew": skew, "radial": [k1, k2, k3], "tangential": [p1, p2]}
 
 
-def _points(item: NamedResult) -> list[tuple[str, Array, bool]]:
+def keypoints_of(item: NamedResult) -> list[tuple[str, Array, bool]]:
     """Names, pixels and whether they are probably seen, of the keypoints."""
     visible = (item.result.diagnostics.visibility >= _VISIBLE).tolist()
     return list(zip(keypoint_names(item), item.result.pose.wireframe_uv, visible, strict=True))
@@ -202,20 +202,26 @@ def _camera(items: Sequence[NamedResult]) -> Camera | None:
     return next((item.camera for item in items if item.camera is not None), None)
 
 
-def _size(items: Sequence[NamedResult]) -> tuple[int, int] | None:
+def image_size(items: Sequence[NamedResult]) -> tuple[int, int] | None:
+    """Width and height of the image that vehicles are of; None where it is not known."""
     camera = _camera(items)
     return None if camera is None else camera.image_size
 
 
-def _known_size(name: str, items: Sequence[NamedResult]) -> tuple[int, int]:
-    size = _size(items)
+def known_size(name: str, items: Sequence[NamedResult]) -> tuple[int, int]:
+    """Width and height of an image.
+
+    Raises:
+        InvalidInputError: They are not known.
+    """
+    size = image_size(items)
     if size is None:
         fix = "Give results whose camera knows the size of its images (`image_size`), or another --format."
         raise InvalidInputError("results", f"an image of unknown size, {name}", fix)
     return size
 
 
-def _corner_pixels(item: NamedResult) -> Array | None:
+def corner_pixels(item: NamedResult) -> Array | None:
     """(8, 2) pixels of the box's corners; None without a camera, or where one is behind it."""
     corners = transform(item.result.camera_T_object, box_corners(item.result.box_size))
     if item.camera is None or not (corners[:, 2] >= MIN_DEPTH).all():

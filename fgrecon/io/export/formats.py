@@ -12,6 +12,7 @@ from fgrecon.io.export.annotation_files import cvat_text, label_studio_text, sca
 from fgrecon.io.export.camera_path import kitti_poses_text, tum_text
 from fgrecon.io.export.dataset_results import coco_results_text, kitti_text
 from fgrecon.io.export.image_info import ImageInfo
+from fgrecon.io.export.label_files import datumaro_text, fiftyone_text, labelme_text, supervisely_text
 from fgrecon.io.export.mcap import detections_bytes, ros2_bytes, scene_bytes
 from fgrecon.io.export.mesh import glb_bytes, ply_bytes
 from fgrecon.io.export.openlabel import openlabel_text
@@ -22,35 +23,45 @@ from fgrecon.io.files import check_ending, write_bytes
 
 Images = Mapping[str, ImageInfo]
 
+_TEXTS: dict[str, Callable[[Sequence[NamedResult], Images], str]] = {
+    "csv": lambda results, _: csv_text(results),
+    "kitti": lambda results, _: kitti_text(results),
+    "nuscenes": nuscenes_text,
+    "nuscenes_tracking": nuscenes_tracking_text,
+    "cityscapes3d": cityscapes3d_text,
+    "openlabel": openlabel_text,
+    "tum": lambda _, images: tum_text(images),
+    "kitti_poses": lambda _, images: kitti_poses_text(images),
+    "cvat": cvat_text,
+    "label_studio": label_studio_text,
+    "labelme": labelme_text,
+    "scalabel": scalabel_text,
+    "supervisely": supervisely_text,
+    "datumaro": datumaro_text,
+    "fiftyone": fiftyone_text,
+    "coco": coco_results_text,
+}
+
 _WRITERS: dict[str, Callable[[Sequence[NamedResult], Images], bytes]] = {
     "ply": lambda results, _: ply_bytes(results),
     "glb": lambda results, _: glb_bytes(results),
-    "csv": lambda results, _: csv_text(results).encode(),
     "parquet": lambda results, _: parquet_bytes(results),
-    "kitti": lambda results, _: kitti_text(results).encode(),
-    "nuscenes": lambda results, images: nuscenes_text(results, images).encode(),
-    "nuscenes_tracking": lambda results, images: nuscenes_tracking_text(results, images).encode(),
     "argoverse2": argoverse2_bytes,
-    "cityscapes3d": lambda results, images: cityscapes3d_text(results, images).encode(),
-    "openlabel": lambda results, images: openlabel_text(results, images).encode(),
-    "tum": lambda _, images: tum_text(images).encode(),
-    "kitti_poses": lambda _, images: kitti_poses_text(images).encode(),
-    "cvat": lambda results, images: cvat_text(results, images).encode(),
-    "label_studio": lambda results, images: label_studio_text(results, images).encode(),
-    "scalabel": lambda results, images: scalabel_text(results, images).encode(),
-    "coco": lambda results, images: coco_results_text(results, images).encode(),
     "foxglove": scene_bytes,
     "vision_msgs": detections_bytes,
     "ros2": ros2_bytes,
 }
 
-KINDS = tuple(_WRITERS)
+KINDS = (*_TEXTS, *_WRITERS)
 """Kinds of files that `export` writes."""
 
 _ENDINGS: dict[str, tuple[str, ...]] = {
     **{kind: (kind,) for kind in ("ply", "glb", "csv", "parquet")},
     "txt": ("kitti", "tum", "kitti_poses"),
-    "json": ("nuscenes", "nuscenes_tracking", "coco", "cityscapes3d", "openlabel", "label_studio", "scalabel"),
+    "json": (
+        *("nuscenes", "nuscenes_tracking", "coco", "cityscapes3d", "openlabel", "label_studio", "scalabel"),
+        *("labelme", "supervisely", "datumaro", "fiftyone"),
+    ),
     "feather": ("argoverse2",),
     "xml": ("cvat",),
     "mcap": ("foxglove", "vision_msgs", "ros2"),
@@ -97,7 +108,7 @@ def export(
     Args:
         path: `.ply` or `.glb`: surfaces and wireframes in the camera frame; `.csv` or `.parquet`: one row per vehicle;
             `.txt`: KITTI's result lines of one image, or poses of the camera; `.json`: results for nuScenes, COCO or
-            Cityscapes 3D, OpenLABEL, Label Studio or scalabel; `.xml`: CVAT; `.feather`: Argoverse 2's detections;
+            Cityscapes 3D, or labels for a tool; `.xml`: CVAT; `.feather`: Argoverse 2's detections;
             `.mcap`: Foxglove's or ROS 2's messages.
         results: Vehicles; those without a pose are left out, except in tables.
         kind: One of `KINDS`, where the ending stands for several.
@@ -115,7 +126,9 @@ def export(
     chosen = check_format(path, kind) if results or kind in _OF_FRAMES else None
     if chosen is None:
         raise InvalidInputError("results", "none", "Give at least one reconstructed vehicle.")
-    return write_bytes(path, _WRITERS[chosen](results, images or {}))
+    known = images or {}
+    content = _TEXTS[chosen](results, known).encode() if chosen in _TEXTS else _WRITERS[chosen](results, known)
+    return write_bytes(path, content)
 
 
 def export_rows(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:

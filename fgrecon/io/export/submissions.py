@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, image_box, info_of, quaternion, score
+from fgrecon.io.export.label_files import one_image
 from fgrecon.io.export.results import NamedResult
 
 Array = NDArray[np.float64]
@@ -111,9 +112,7 @@ def cityscapes3d_text(results: Sequence[NamedResult], images: Mapping[str, Image
     Raises:
         InvalidInputError: The pose is missing, or the vehicles are of several images, each of which has a file.
     """
-    if len(of_images := by_image(results)) > 1:
-        fix = "Write a file for each image (fgrecon.io.export.export): Cityscapes has them so."
-        raise InvalidInputError("results", f"vehicles of {len(of_images)} images", fix)
+    one_image(results, "Cityscapes")
     entries = []
     for item, info in _of_samples(results, images, "world_T_camera"):
         centre, axes = box_in(info, item.result.camera_T_object, item.result.box_size)

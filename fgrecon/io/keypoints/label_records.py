@@ -1,4 +1,4 @@
-"""Instances of files of labels: OpenLABEL, scalabel (and BDD100K), Supervisely, datumaro.
+"""Instances of files of labels: OpenLABEL, scalabel (and BDD100K), Supervisely, datumaro, FiftyOne.
 
 | from | a vehicle is | its points | hidden |
 |---|---|---|---|
@@ -6,8 +6,10 @@
 | scalabel | a label with a `graph` | the `category` of its nodes | `visibility` is N |
 | Supervisely | a graph; its rectangle has the same `instance` | by the names of the nodes, but for disabled ones | - |
 | datumaro | `points`; their `bbox` has the same group | by the categories of their label | visibility 1; 0 is none |
+| FiftyOne | a `Keypoint`; the `Detection` has the same `index` | by `names`, else in their order | `confidence` |
 
-Boxes are corners in pixels; OpenLABEL's is told by its centre, datumaro's by its corner and size. A point that is
+Boxes are corners in pixels; OpenLABEL's is told by its centre, datumaro's by its corner and size, FiftyOne's too,
+in parts of the image. A point that is
 hidden is as likely right as wrong.
 """
 
@@ -19,7 +21,7 @@ from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.io.json_fields import Fields
+from fgrecon.io.json_fields import Fields, numbers
 
 Record = dict[str, Any]
 Records = Iterator[tuple[Record | InvalidInputError, str]]
@@ -37,6 +39,8 @@ def label_reader(data: Any) -> Callable[[Fields], Records] | None:
         return _datumaro
     if isinstance(data.get("objects"), list) and isinstance(data.get("size"), Mapping):
         return _supervisely
+    if isinstance(data.get("samples"), list) and all(_is_map(one) and "filepath" in one for one in data["samples"]):
+        return _fiftyone
     frames = data.get("frames")
     return _scalabel if isinstance(frames, list) and any("labels" in f for f in frames if _is_map(f)) else None
 
@@ -175,6 +179,53 @@ def _datumaro_points(points: Fields, names: Any) -> dict[str, list[float]]:
     visible = points.numbers("visibility", (len(names),)).tolist() if "visibility" in points else [2] * len(names)
     pairs = zip(names, values, visible, strict=True)
     return {str(name): [*value, _HIDDEN if seen == 1 else 1.0] for name, value, seen in pairs if seen}
+
+
+def _fiftyone(fields: Fields) -> Records:
+    for number, item in enumerate(fields.get("samples", list)):
+        sample = Fields(item, f"{fields.where}samples[{number}].")
+        image = sample.get("filepath", str).replace("\\", "/").rsplit("/", 1)[-1]
+        found: dict[Any, dict[str, Fields]] = defaultdict(dict)
+        for name, content in sample.data.items():
+            kind = content.get("_cls") if _is_map(content) else None
+            if kind not in ("Detections", "Keypoints"):
+                continue
+            for at, one in enumerate(Fields(content, f"{sample.where}{name}.").get(kind.lower(), list)):
+                label = Fields(one, f"{sample.where}{name}.{kind.lower()}[{at}].")
+                index = label.data.get("index")
+                found[f"{kind} {at}" if index is None else index][kind] = label
+
+        def made(key: Any, labels: dict[str, Fields], sample: Fields = sample, image: str = image) -> Record | None:
+            if "Keypoints" not in labels:
+                return None
+            about = Fields(sample.data.get("metadata") or {}, f"{sample.where}metadata.")
+            size = [about.whole(side, 1) for side in ("width", "height")]
+            kind = labels["Keypoints"].data.get("label") or "Car"
+            record: Record = {"id": f"{image}:{key}", "image": image, "kind": _word(kind)}
+            record["keypoints"] = _fiftyone_points(labels["Keypoints"], size)
+            if "Detections" in labels:
+                x, y, width, height = labels["Detections"].numbers("bounding_box", (4,)).tolist()
+                record["box"] = [x * size[0], y * size[1], (x + width) * size[0], (y + height) * size[1]]
+            return record
+
+        yield from _each(found, made, sample.where)
+
+
+def _fiftyone_points(label: Fields, size: list[int]) -> dict[str, list[float]]:
+    """The points by name; FiftyOne has NaN for those that are not there."""
+    points = label.get("points", list)
+    names = label.get("names", list) if "names" in label else [str(at) for at in range(len(points))]
+    trust = label.get("confidence", list) if "confidence" in label else [1.0] * len(points)
+    if not len(points) == len(names) == len(trust):
+        fix = f"Give as many names and confidences as the {len(points)} points."
+        raise InvalidInputError(f"{label.where}names", f"{len(names)} and {len(trust)}", fix)
+    found = {}
+    for at, (name, point, sure) in enumerate(zip(names, points, trust, strict=True)):
+        if isinstance(point, list) and any(value != value for value in point):
+            continue
+        u, v = numbers(point, (2,), f"{label.where}points[{at}]").tolist()
+        found[str(name)] = [u * size[0], v * size[1], float(numbers(sure, (), f"{label.where}confidence[{at}]"))]
+    return found
 
 
 def _word(kind: Any) -> str:

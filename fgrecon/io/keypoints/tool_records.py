@@ -3,7 +3,7 @@
 | from | a vehicle is | its points |
 |---|---|---|
 | Label Studio | a rectangle, and keypoints whose `parentID` it is; else all of a task | parts of a hundred |
-| labelme | shapes of one `group_id`; else all without one | shapes `point`, by their labels |
+| labelme | shapes of one `group_id`; else all without one | shapes `point`, by their labels; the flag `hidden` |
 | CVAT | a skeleton; or points and a box of one `group_id` | by their labels, but for those outside |
 
 OpenLABEL's and others' are in `label_records`.
@@ -131,7 +131,9 @@ def _labelme(fields: Fields) -> _Records:
             for shape in shapes:
                 kind = shape.get("shape_type", str)
                 if kind == "point":
-                    record["keypoints"][shape.get("label", str)] = shape.numbers("points", (1, 2))[0].tolist()
+                    hidden = Fields(shape.data.get("flags") or {}, f"{shape.where}flags.").data.get("hidden") is True
+                    trust = Observation.confidence_midpoint if hidden else 1.0
+                    record["keypoints"][shape.get("label", str)] = [*shape.numbers("points", (1, 2))[0].tolist(), trust]
                 elif kind == "rectangle":
                     low, high = shape.numbers("points", (2, 2))
                     record["box"] = [*map(min, low, high), *map(max, low, high)]
