@@ -33,10 +33,9 @@ def search_with_points(problem: Problem, pictured: Hypotheses) -> SearchResult:
         problem: With a term of points, and all coefficients.
         pictured: Poses that the picture alone leads to, with all coefficients.
     """
-    every = tuple(replace(one, rows=_unsure(one)) for one in problem.energy.points)
-    some = tuple(replace(one, rows=_some(one.rows, POINTS.searched_points)) for one in every)
-    few = tuple(replace(one, rows=_roughly(_some(one.rows, POINTS.rough_points))) for one in every)
-    energy, rough = (replace(problem.energy, points=points) for points in (some, few))
+    some = tuple(replace(one, rows=_some(_unsure(one))) for one in problem.energy.points)
+    energy = replace(problem.energy, points=some)
+    rough = replace(energy, points=tuple(replace(one, rows=_roughly(one.rows)) for one in some))
     starts = _starts(problem, pictured)
     best = search(rough, starts, 0, {}).hypotheses.take(np.arange(min(POINTS.rough_starts, len(starts))))
     near = search(rough, best, POINTS.rough_iterations, {}).hypotheses
@@ -57,9 +56,9 @@ def _unsure(term: PointTerm) -> PointRows:
     return replace(rows, along=np.sqrt(rows.along**2 + stretch**2 * variance))
 
 
-def _some(rows: PointRows, most: int) -> PointRows:
-    """So many of the points at most, which have the energy of all."""
-    every = -(-len(rows.points) // most)
+def _some(rows: PointRows) -> PointRows:
+    """Some of the points, which have the energy of all."""
+    every = -(-len(rows.points) // POINTS.searched_points)
     points = rows.points[::every]
     share = rows.share * len(rows.points) / len(points)
     return replace(rows, points=points, sigma=rows.sigma[::every], along=rows.along[::every], share=share)

@@ -110,8 +110,6 @@ class PointSettings:
     """Of points at first."""
     searched_points: int = 64
     """Of a vehicle in the search; the graph has all. Not tuned."""
-    rough_points: int = 32
-    """Of a vehicle in its first part. Not tuned."""
     rough_starts: int = 16
     """Starts that are refined roughly."""
     rough_iterations: int = 4
