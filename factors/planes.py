@@ -8,17 +8,12 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from factors.checks import finite_array, unit_vector
 from factors.errors import DegenerateProblemError
 
 _FLATTEST = 1e-6
-
-
-def tangent_basis(plane: gtsam.OrientedPlane3) -> NDArray[np.float64]:
-    """(3, 2) tangent basis B of the plane's normal, the one that its local coordinates refer to."""
-    return plane.normal().basis()
 
 
 def make_plane(normal: ArrayLike, d: float) -> gtsam.OrientedPlane3:
