@@ -26,10 +26,11 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Points
 from fgrecon.core.geometry import AHEAD, transform
-from fgrecon.io.bag import NANO, Bag, open_bag, split
+from fgrecon.io.bag import NANO, Bag, split
 from fgrecon.io.bag_frames import BagFrames
 from fgrecon.io.bag_images import PICTURES
 from fgrecon.io.bag_transforms import Transforms, frame_name, pose_of_message, series, stamp_of
+from fgrecon.io.foxglove_bag import open_any_bag
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.lens_fields import read_lens
 from fgrecon.io.poses import CameraPoses, read_pose
@@ -251,7 +252,7 @@ def open_bag_drive(source: str | Path, *, choice: Choice | None = None, lidar: L
         MissingPackageError: rosbags is not installed.
     """
     path, wanted = split(source)
-    bag, choice = open_bag(path), choice or Choice()
+    bag, choice = open_any_bag(path), choice or Choice()
     pictures = [topic for topic in bag.of_type(*PICTURES) if not topic.endswith("/compressedDepth")]
     topic = bag.chosen("source", pictures, wanted, "pictures")
     index = _indexed(bag, {topic, *([] if lidar is None else [lidar.topic])})

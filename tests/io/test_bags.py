@@ -330,3 +330,44 @@ def test_loops_and_quaternions_that_are_none_are_refused(tmp_path, pictures):
     file = bags.write(tmp_path / "none", [*bags.drive(pictures), ("/tf_static", bags.START, message)])
     with pytest.raises(InvalidInputError, match=r"/tf_static: odom to thing.*unit quaternion"):
         open_bag_drive(file)
+
+
+def test_foxgloves_messages_are_found_by_their_schemas_alone(tmp_path):
+    """A set of files in any order; `tests/formats/test_foxglove.py` has the whole drive by Foxglove's own schemas."""
+    from google.protobuf import descriptor_pb2, timestamp_pb2
+    from mcap.writer import Writer as McapWriter
+
+    from fgrecon.io.foxglove_bag import open_foxglove
+
+    file = descriptor_pb2.FileDescriptorProto(name="image.proto", package="foxglove", syntax="proto3")
+    file.dependency.append("google/protobuf/timestamp.proto")
+    kind = file.message_type.add(name="CompressedImage")
+    for number, (name, code) in enumerate({"frame_id": 9, "data": 12, "format": 9}.items(), start=1):
+        kind.field.add(name=name, number=number, type=code, label=1)
+    kind.field.add(name="timestamp", number=4, type=11, label=1, type_name=".google.protobuf.Timestamp")
+    stamp_file = descriptor_pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(stamp_file)
+    schema = descriptor_pb2.FileDescriptorSet(file=[file, stamp_file]).SerializeToString()
+    path = tmp_path / "drive.mcap"
+    content = cv2.imencode(".png", np.full((4, 6, 3), 7, np.uint8))[1].tobytes()
+    with path.open("wb") as sink:
+        writer = McapWriter(sink)
+        writer.start()
+        known = writer.register_schema("foxglove.CompressedImage", "protobuf", schema)
+        channel = writer.register_channel("/camera", "protobuf", known)
+        made = b"\x0a\x03cam\x12" + _varint(len(content)) + content + b"\x1a\x03png\x22\x02\x08\x05"  # at 5 s
+        writer.add_message(channel, 10, made, 10)
+        writer.add_message(channel, 20, b"\xff", 20)
+        writer.finish()
+    bag = open_foxglove(path)
+    assert dict(bag.topics) == {"/camera": "sensor_msgs/msg/CompressedImage"}
+    (_, first), (_, second) = ((time, found) for _, time, found in bag.messages(["/camera"]))
+    assert bag.stamp("/camera", first) == 5_000_000_000
+    message = bag.message("/camera", first)
+    assert (message.header.frame_id, message.format, bytes(message.data)) == ("cam", "png", content)
+    with pytest.raises(InvalidInputError, match=r"/camera.*whole messages of foxglove.CompressedImage"):
+        bag.message("/camera", second)
+
+
+def _varint(number):
+    return bytes([number & 127 | 128, number >> 7]) if number > 127 else bytes([number])
