@@ -192,3 +192,17 @@ def one_word(field: str, value: Any) -> str:
     if not isinstance(value, str) or value.split() != [value]:
         raise InvalidInputError(field, value, "Give one word without spaces.")
     return value
+
+
+def array_of(value: Any, field: str) -> NDArray[np.float64]:
+    """Numbers of an array or of a tensor on any device.
+
+    Raises:
+        InvalidInputError: It is none of numbers.
+    """
+    for step in ("detach", "cpu"):
+        value = getattr(value, step, lambda same=value: same)()
+    try:
+        return hidden_as_nan(value, np.asarray(value, dtype=np.float64))
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(field, value, "Give an array of numbers.") from error

@@ -32,9 +32,9 @@ _YOLO_COLUMNS = 5
 LEAST_SCORE = 0.5
 """Boxes of a lower score are left out where nothing else is said."""
 _CAR = "car"
-_COCO_CLASSES = {1: "person", 2: "bicycle", 3: "car", 4: "motorcycle", 6: "bus", 7: "train", 8: "truck"}
+COCO_CLASSES = {1: "person", 2: "bicycle", 3: "car", 4: "motorcycle", 6: "bus", 7: "train", 8: "truck"}
 """COCO's numbers of classes, where the file names no categories."""
-_YOLO_CLASSES = {0: "person", 1: "bicycle", 2: "car", 3: "motorcycle", 5: "bus", 6: "train", 7: "truck"}
+YOLO_CLASSES = {0: "person", 1: "bicycle", 2: "car", 3: "motorcycle", 5: "bus", 6: "train", 7: "truck"}
 """The places of these among COCO's 80 classes, as which YOLO numbers them."""
 _OTHER_VEHICLES = frozenset(["van", "truck", "bus", "train", "tram", "trailer", "motorcycle", "motorbike", "caravan"])
 _CLASSES, _DATA = "classes.txt", "data.yaml"
@@ -363,7 +363,7 @@ def _is_integer(word: str) -> bool:
 def _yolo_class(file: Path, number: int) -> str:
     """Name of a class of YOLO's: by `classes.txt` beside the file or `data.yaml` above it, else as COCO's have it."""
     names = _class_names(file.parent)
-    return (_YOLO_CLASSES if names is None else names).get(number, str(number))
+    return (YOLO_CLASSES if names is None else names).get(number, str(number))
 
 
 def _class_names(folder: Path) -> Mapping[int, str] | None:
@@ -478,7 +478,7 @@ class _Coco:
     def _kind(self, fields: Fields) -> str:
         """Class of a box; its id where nobody names it."""
         number = plain_id(fields.data.get("category_id"))
-        known: Mapping[Any, str] = _COCO_CLASSES if self.kinds is None else self.kinds
+        known: Mapping[Any, str] = COCO_CLASSES if self.kinds is None else self.kinds
         return _word(known.get(number, number))
 
 

@@ -50,9 +50,9 @@ class FoxgloveBag(Bag):
 
         try:
             with self.path.open("rb") as file:
-                for _, channel, message in make_reader(file).iter_messages(sorted(topics)):
-                    if at is None or message.log_time == at:
-                        yield channel.topic, message.log_time, message.data
+                found = make_reader(file).iter_messages(sorted(topics), starting_at=at, ending_at=at)
+                for _, channel, message in found:
+                    yield channel.topic, message.log_time, message.data
         except Exception as error:  # mcap promises no kind of error for damaged content
             fix = f"Give a whole file: `mcap recover FILE` mends one. The reason: {error!r}"
             raise InvalidInputError("source", str(self.path), fix) from error

@@ -19,6 +19,8 @@ from fgrecon.core.detection import Detection
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.vehicle_class import VehicleClass
+from fgrecon.io.box_results import boxes_from
+from fgrecon.io.boxes import NamedBox
 from fgrecon.perception.vehicles import Vehicles
 
 
@@ -54,7 +56,7 @@ class KeypointDetector(Protocol):
 
 
 def find_vehicles(detector: VehicleDetector, image: NDArray[np.uint8]) -> Vehicles:
-    """What a vehicle detector finds in an image (H, W, 3).
+    """What a vehicle detector finds in an image (H, W, 3): `Vehicles`, or an object of `fgrecon.io.box_results`.
 
     Raises:
         InvalidInputError: It cannot be called, or returns something else.
@@ -62,10 +64,26 @@ def find_vehicles(detector: VehicleDetector, image: NDArray[np.uint8]) -> Vehicl
     if not callable(detector):
         raise InvalidInputError("vehicle_detector", detector, "Give what can be called with an image.")
     found: object = detector(image)
-    if not isinstance(found, Vehicles):
-        fix = "Let it return `fgrecon.perception.Vehicles(boxes, scores)`."
+    if isinstance(found, Vehicles):
+        return found
+    boxes = boxes_from(found)
+    if boxes is None:
+        fix = "Let it return `fgrecon.perception.Vehicles(boxes, scores)`, or what a known detector or tracker returns."
         raise InvalidInputError("vehicle_detector", f"a returned {type(found).__name__}", fix)
-    return found
+    return _vehicles(boxes)
+
+
+def _vehicles(boxes: Sequence[NamedBox]) -> Vehicles:
+    """Boxes by falling score; one without a score is certain."""
+    order = sorted(boxes, key=lambda box: -1.0 if box.score is None else -box.score)
+    corners = np.array([box.corners for box in order]).reshape(-1, 4)
+    classes = [box.vehicle_class for box in order]
+    return Vehicles(
+        corners,
+        np.array([1.0 if box.score is None else box.score for box in order]),
+        tuple(box.kind or "car" for box in order),
+        tuple(one for one in classes if one is not None) if None not in classes else (),
+    )
 
 
 def check_category(detector: object, category: Category) -> None:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
-from fgrecon.core.checks import hidden_as_nan
+from fgrecon.core.checks import array_of
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.keypoints.names import Names, order_of
 
@@ -98,12 +98,12 @@ def _ultralytics(given: Any, where: str) -> _Found:
     classes, kinds = getattr(boxes, "cls", None), getattr(given, "names", None) or {}
     return _Found(
         f"{where}keypoints",
-        _array(points.xy, f"{where}keypoints.xy"),
+        array_of(points.xy, f"{where}keypoints.xy"),
         _optional(getattr(points, "conf", None), f"{where}conf"),
         _optional(getattr(boxes, "xyxy", None), f"{where}boxes.xyxy"),
         _optional(getattr(boxes, "conf", None), f"{where}boxes.conf"),
         _optional(getattr(boxes, "id", None), f"{where}boxes.id"),
-        None if classes is None else [kinds.get(int(n), str(int(n))) for n in _array(classes, f"{where}boxes.cls")],
+        None if classes is None else [kinds.get(int(n), str(int(n))) for n in array_of(classes, f"{where}boxes.cls")],
         {"confidence_midpoint": PROBABLE}
         | ({"image": Path(source).name} if isinstance(source, str) else {})
         | ({} if given.orig_shape is None else {"image_size": [int(side) for side in given.orig_shape[1::-1]]}),
@@ -115,7 +115,7 @@ def _supervision(given: Any, where: str) -> _Found:
     kinds = (getattr(given, "data", None) or {}).get("class_name")
     return _Found(
         f"{where}xy",
-        _array(given.xy, f"{where}xy"),
+        array_of(given.xy, f"{where}xy"),
         _optional(trust, f"{where}confidence"),
         scores=_optional(getattr(given, "detection_confidence", None), f"{where}detection_confidence"),
         kinds=None if kinds is None else [str(kind) for kind in kinds],
@@ -123,7 +123,7 @@ def _supervision(given: Any, where: str) -> _Found:
 
 
 def _norfair(given: Any, where: str) -> _Found:
-    points, alive = _array(given.estimate, f"{where}estimate"), np.asarray(given.live_points, dtype=bool)
+    points, alive = array_of(given.estimate, f"{where}estimate"), np.asarray(given.live_points, dtype=bool)
     kind, number = getattr(given, "label", None), given.id
     return _Found(
         f"{where}estimate",
@@ -136,8 +136,8 @@ def _norfair(given: Any, where: str) -> _Found:
 def _mmpose(given: Any, where: str) -> _Found:
     return _Found(
         f"{where}pred_instances.keypoints",
-        _array(given.keypoints, f"{where}pred_instances.keypoints"),
-        np.clip(_array(given.keypoint_scores, f"{where}pred_instances.keypoint_scores"), 0.0, 1.0),
+        array_of(given.keypoints, f"{where}pred_instances.keypoints"),
+        np.clip(array_of(given.keypoint_scores, f"{where}pred_instances.keypoint_scores"), 0.0, 1.0),
         _optional(getattr(given, "bboxes", None), f"{where}pred_instances.bboxes"),
         _optional(getattr(given, "bbox_scores", None), f"{where}pred_instances.bbox_scores"),
     )
@@ -145,8 +145,8 @@ def _mmpose(given: Any, where: str) -> _Found:
 
 def _torchvision(given: Mapping[str, Any], where: str) -> _Found:
     """Its third number is 1 for each point; its scores are heights of a heat map, taken for logarithms of odds."""
-    points = _array(given["keypoints"], f"{where}keypoints")
-    height = _array(given["keypoints_scores"], f"{where}keypoints_scores")
+    points = array_of(given["keypoints"], f"{where}keypoints")
+    height = array_of(given["keypoints_scores"], f"{where}keypoints_scores")
     return _Found(
         f"{where}keypoints",
         points[..., :2],
@@ -159,7 +159,7 @@ def _torchvision(given: Mapping[str, Any], where: str) -> _Found:
 
 def _detectron2(given: Any, where: str) -> _Found:
     """Its third number is a pixel's share of the heat map: larger than 0, and small where that is broad."""
-    points = _array(given.pred_keypoints, f"{where}pred_keypoints")
+    points = array_of(given.pred_keypoints, f"{where}pred_keypoints")
     boxes = getattr(given, "pred_boxes", None)
     return _Found(
         f"{where}pred_keypoints",
@@ -210,14 +210,4 @@ def _records(found: _Found, category: Category, names: Names | None) -> _Records
 
 
 def _optional(value: Any, field: str) -> Array | None:
-    return None if value is None else _array(value, field)
-
-
-def _array(value: Any, field: str) -> Array:
-    """Numbers of an array or of a tensor on any device."""
-    for step in ("detach", "cpu"):
-        value = getattr(value, step, lambda same=value: same)()
-    try:
-        return hidden_as_nan(value, np.asarray(value, dtype=np.float64))
-    except (TypeError, ValueError) as error:
-        raise InvalidInputError(field, value, "Give an array of numbers.") from error
+    return None if value is None else array_of(value, field)
