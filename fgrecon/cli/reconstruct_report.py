@@ -16,6 +16,7 @@ from fgrecon.viz.outcomes import HEADINGS, cells_of, clause_of, message_of
 
 _ROWS = 300  # vehicles that the table has at most: it is for eyes, and slow to lay out
 _NAMED = 8  # vehicles with the same message that are named with it
+_CELL = 120  # characters of a cell: ids come from anywhere
 
 
 def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
@@ -28,7 +29,7 @@ def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
     outcomes, others = outcomes[:_ROWS], outcomes[_ROWS:]
     table = compact_table(*HEADINGS, text=("id", "status"), no_wrap=True, overflow="fold")
     for outcome in outcomes:
-        table.add_row(*(escape(printable(cell)) for cell in cells_of(outcome)[:-1]))
+        table.add_row(*(escape(printable(cell.replace("\n", " "), _CELL)) for cell in cells_of(outcome)[:-1]))
     screen.print(table)
     clauses: dict[str, list[str]] = {}
     for outcome in outcomes:

@@ -49,7 +49,7 @@ class KeypointOptions:
     common_factor: float = number(10.0, least=1.0, most=1e6)
     facing_bias: float = number(-0.390, least=-20.0, most=20.0)
     facing_slope: float = number(0.976, least=0.0, most=20.0)
-    fitted: bool = False
+    fitted: bool = flag(default=False)
 
     def __post_init__(self) -> None:
         """Check the settings (`InvalidInputError`)."""

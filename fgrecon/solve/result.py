@@ -369,7 +369,8 @@ def _status(end: _End, box_size: Array) -> tuple[Status, str]:
         return Status.DEGENERATE, f"The vehicle's origin is behind the camera ({pose[2, 3]:.2f} m)."
     rotation, loose = uncertainty.pose[:3, :3], STATUS.rotation_sigma_rad
     if np.trace(rotation) > loose**2 and (turn := float(np.sqrt(np.linalg.eigvalsh(rotation)[-1]))) > loose:
-        return Status.DEGENERATE, f"The orientation is known to {np.rad2deg(turn):.0f} degrees only (1 sigma)."
+        known = f"known to {np.rad2deg(turn):.0f} degrees only (1 sigma)" if turn < np.pi else "not known at all"
+        return Status.DEGENERATE, f"The orientation is {known}."
     close = [a for a in end.alternatives if a.excess <= problem.options.ambiguity_margin]
     if close:
         turn = rotation_y(close[0].camera_T_object) - rotation_y(pose)

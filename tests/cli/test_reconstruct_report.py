@@ -1,5 +1,7 @@
 """The table of `fgrecon reconstruct` where there are very many vehicles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,3 +40,13 @@ def test_no_table_is_made_that_is_not_shown(capsys, monkeypatch):
     monkeypatch.setattr(reconstruct_report, "compact_table", None)
     reconstruct_report.print_table(screen(quiet=True), refused(3))
     assert capsys.readouterr() == ("", "")
+
+
+def test_an_id_of_any_length_takes_one_row(capsys):
+    (one,) = refused(1)
+    instance = replace(one.task.instance, name="a\nb" + "x" * 100_000)
+    reconstruct_report.print_table(screen(), [replace(one, task=replace(one.task, instance=instance))])
+    row = capsys.readouterr().out.splitlines()[2]
+    assert row.startswith("a bxxx")
+    assert row.rstrip().endswith("refused")
+    assert len(row) < 200

@@ -109,9 +109,11 @@ def test_whole_cars_and_halves():
     assert two.uncertainty.alternatives[0].excess <= Options().ambiguity_margin
     assert "nats worse" in two.message
     assert reconstruct(observation, CAMERA).status is Status.CONVERGED
-    loose = reconstruct(observation.keypoints, CAMERA, options=make_options(sigma_pixels=500.0, box_model="off"))
-    assert loose.status is Status.DEGENERATE
-    assert "degrees only" in loose.message
+    for sigma, known in ((150.0, "degrees only (1 sigma)"), (500.0, "not known at all")):
+        options = make_options(sigma_pixels=sigma, box_model="off")
+        loose = reconstruct(observation.keypoints, CAMERA, options=options)
+        assert loose.status is Status.DEGENERATE
+        assert known in loose.message
 
 
 def test_what_no_vehicle_is_does_not_converge(status_of, solved):
