@@ -184,7 +184,9 @@ def _files(source: str) -> list[Path]:
     images = [p for p in found if p.suffix.lower() in IMAGES]
     if not images:
         refuse_unread(path, "source")
-        fix = f"Give a video ({', '.join(VIDEOS)}), a folder of images, or a pattern that finds images."
+        fix = (
+            f"Give a video ({', '.join(VIDEOS)}), a folder of images, a pattern that finds images, a data set or a bag."
+        )
         known = path.exists() or set(source) & set("*?[")
         raise InvalidInputError("source", source, fix if known else f"There is no such file or folder. {fix}")
     return images

@@ -160,6 +160,8 @@ def test_what_is_not_named_is_asked_for(tmp_path):
         open_drive(f"{folder}#nowhere/ring_front_center")
     with pytest.raises(InvalidInputError, match="Name a camera: ring_front_center"):
         open_drive(f"{folder}#ring_side_left")
+    with pytest.raises(InvalidInputError, match=rf"such as FOLDER#{next(folder.glob('*')).name}/ring_front_center"):
+        open_drive(folder.parent)
     assert is_data_set(folder)
     assert not is_data_set(tmp_path / "none")
 

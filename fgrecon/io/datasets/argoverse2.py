@@ -67,10 +67,10 @@ def _read(name: str, log: Path) -> DataSequence:
 
 
 def _logs(path: Path) -> dict[str, Path]:
-    """A log, or those of a folder."""
+    """A log, those of a folder, or those of the splits below it."""
     if (path / _POSES).is_file():
         return {path.name: path}
-    found = sorted(path.glob(f"*/{_POSES}"))
+    found = sorted(path.glob(f"*/{_POSES}")) or sorted(path.glob(f"*/*/{_POSES}"))
     return {file.parent.name: file.parent for file in found}
 
 
@@ -123,4 +123,4 @@ def _nearest(images: list[int], sweeps: list[int], farthest: int) -> dict[int, s
 
 
 READER = Reader("log", _logs, _read)
-"""Argoverse 2: a log, or a folder of logs."""
+"""Argoverse 2: a log, a folder of logs, or of its splits."""

@@ -173,6 +173,8 @@ class DataSequence:
         found = tuple(image for image in self.images if image.camera == name)
         if not found:
             fix = f"Name a camera: {', '.join(self.cameras) or 'there is none'}."
+            if self.cameras:
+                fix = f"{fix[:-1]}, such as FOLDER#{self.name}/{self.cameras[0]}."
             raise InvalidInputError("camera", camera or f"{len(self.cameras)} cameras of {self.name}", fix)
         return found
 
@@ -280,6 +282,6 @@ class Reader(Generic[T]):
         if wanted not in found:
             listed = ", ".join([*names[:5], *(["..."] if len(names) > 5 else [])])
             value = wanted if wanted is not None else f"{len(names)} of them"
-            raise InvalidInputError(self.what, value, f"Name one of {path}: {listed}.")
+            raise InvalidInputError(self.what, value, f"Name one of {path}: {listed}, such as {path}#{names[0]}.")
         assert wanted is not None
         return self.read(wanted, found[wanted])
