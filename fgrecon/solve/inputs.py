@@ -348,7 +348,7 @@ def as_initial(initial: Box3D | float | None, prior: ShapePrior) -> Box3D | floa
     yaw = float(as_finite("initial", initial, (), "Give a `Box3D`, or a guess of rotation_y in radians."))
     if abs(yaw) > _TURN:
         raise InvalidInputError(
-            "initial", yaw, f"Give rotation_y in radians: {yaw:g} degrees are {np.radians(yaw):.4f}."
+            "initial", yaw, f"Give rotation_y in radians: {yaw:g} degrees are {np.radians(yaw):.6g}."
         )
     return yaw
 

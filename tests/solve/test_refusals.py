@@ -213,3 +213,10 @@ def test_a_broken_factor_does_not_take_the_process_down():
     assert child.returncode == 0, child.stderr
     assert child.stdout.startswith("caught:")
     assert "Jacobian must be" in child.stdout
+
+
+@pytest.mark.parametrize(("yaw", "radians"), [(90.0, "1.5708"), (1e300, "1.74533e+298")])
+def test_degrees_are_told_in_radians(yaw, radians):
+    with pytest.raises(InvalidInputError) as caught:
+        reconstruct(few(14), MATRIX, initial=yaw)
+    assert caught.value.fix.endswith(f"are {radians}.")
