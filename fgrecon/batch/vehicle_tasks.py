@@ -23,6 +23,7 @@ from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, refuse_other_file
 from fgrecon.io.keypoints import NOT_JSON, parse_any_keypoints, read_any_keypoints
+from fgrecon.io.keypoints.records import is_track
 from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.track_file import parse_track
 from fgrecon.perception.keypoints.detect import CascadeDetection, KeypointCascade, check_box
@@ -106,8 +107,8 @@ def read_tasks(
     ignored: tuple[str, ...] = ()
     left_out: tuple[InvalidInputError, ...] = ()
     data = None if path.suffix.lower() in NOT_JSON else read_json(path)
-    is_track = isinstance(data, dict) and "frames" in data and "keypoints" not in data
-    if is_track:
+    of_track = is_track(data)
+    if of_track:
         instances, offset = _track_instances(data, path, category)
     else:
         file = (
@@ -119,14 +120,14 @@ def read_tasks(
     camera_of = cache(source.camera)
     tasks = []
     for instance in instances:
-        given, given_offset = camera_of(image if is_track else instance.image or image)
+        given, given_offset = camera_of(image if of_track else instance.image or image)
         camera = given or instance.camera
         if camera is None:
             value = f"no camera for instance {instance.name}"
             raise InvalidInputError(
                 "intrinsics", value, "Give a camera file or intrinsics (--camera, --intrinsics), or K in the file."
             )
-        complete = source.complete(camera, declared=given is None and not is_track)
+        complete = source.complete(camera, declared=given is None and not of_track)
         if source.crop is None or source.image is not None:
             instance = instance.fitted(complete.image_size, scale=source.scale_to_image)
             if complete.image_size is None:

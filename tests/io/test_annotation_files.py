@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 import fgrecon
+from fgrecon.batch.inputs import sources_of
+from fgrecon.batch.vehicle_tasks import read_tasks
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
+from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.export import ImageInfo, NamedResult, export
 from fgrecon.io.export.image_info import image_box
 from fgrecon.io.keypoints import read_any_keypoints
@@ -128,3 +131,12 @@ def test_points_that_fiftyone_has_as_nan_are_not_there(cars, tmp_path):
     path.write_text(json.dumps(data))
     (vehicle,) = read_any_keypoints(path, CATEGORY).instances
     assert np.flatnonzero(~vehicle.observation.measured).tolist() == [3]
+
+
+@pytest.mark.parametrize("kind", ["scalabel", "labelme", "supervisely", "datumaro", "fiftyone"])
+def test_batches_and_reconstruct_take_what_was_exported(cars, tmp_path, kind):
+    path = export(tmp_path / "x.json", cars, kind)
+    (source,) = sources_of([path])
+    assert len(list(source.rows())) == len(cars)
+    tasks = read_tasks(path, CATEGORY, CameraSource(intrinsics=[721.5, 721.5, 609.6, 172.9])).tasks
+    assert [task.instance.kind for task in tasks] == ["Car", "Van"]

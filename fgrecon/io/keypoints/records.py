@@ -29,6 +29,11 @@ _CAMERA = ("K", "intrinsics", "distortion", "distortion_model", "image_size")
 Record = dict[str, Any]
 
 
+def is_track(data: Any) -> bool:
+    """Whether the content of a JSON file is that of a track, and no labels of several frames."""
+    return isinstance(data, Mapping) and "frames" in data and "keypoints" not in data and not is_tool_file(data)
+
+
 def keypoint_records(path: Path, category: Category) -> list[Any]:
     """The vehicles of a file of any format, or of a track; of COCO's annotations the error where one is malformed.
 
@@ -41,7 +46,7 @@ def keypoint_records(path: Path, category: Category) -> list[Any]:
     if path.suffix.lower() in NOT_JSON:
         return [record for record, _ in named_records(path, category)]
     data = read_json(path)
-    if isinstance(data, Mapping) and "frames" in data and "keypoints" not in data:
+    if is_track(data):
         return _frames(data, path)
     if is_annotations(data):
         return [record for record, _ in annotation_records(data, f"{path}: ")]
