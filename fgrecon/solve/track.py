@@ -37,6 +37,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.solve.depth_scale import with_scales
+from fgrecon.solve.fitted_class import with_fitted_classes
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.graph.records import graph_factors, joint_steps
@@ -47,6 +48,7 @@ from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.result import results
 from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.threads import single_threaded
+from fgrecon.solve.vehicle.model import VehicleModel
 
 if TYPE_CHECKING:
     import gtsam
@@ -138,11 +140,11 @@ def _posed(
     observations: Sequence[Observation | None], cameras: Sequence[Camera], setup: SolveSetup, doubts: InputWarnings
 ) -> tuple[list[GraphObservation], list[PoseEstimate], dict[int, str]]:
     """The images that have a pose, their proposals, and why others have none; `doubts` has what is wrong with them."""
+    looked: dict[int, tuple[Observation, Camera, SolveSetup]] = {}
     seen: list[GraphObservation] = []
     starts: list[PoseEstimate] = []
     refused: dict[int, str] = {}
     bad: InvalidInputError | None = None
-    model = setup.model_of([one for one in observations if isinstance(one, Observation)])
     for number, (given, camera) in enumerate(zip(observations, cameras, strict=True)):
         if given is None:
             refused[number] = "no keypoints"
@@ -155,7 +157,14 @@ def _posed(
             if scaled.evidence:
                 off = setup.options.disabled_terms
                 own = replace(setup, ground=ground_by_points(scaled.evidence, setup.ground, camera, off))
-            problem, start = single_pose(scaled, camera, model, own)
+            looked[number] = scaled, camera, own
+        except (DegenerateProblemError, InvalidInputError) as error:
+            bad = error if bad is None and isinstance(error, InvalidInputError) else bad
+            refused[number] = str(error)
+    model = _model([*looked.values()], setup)
+    for number, (observation, camera, own) in looked.items():
+        try:
+            problem, start = single_pose(observation, camera, model, own)
         except (DegenerateProblemError, InvalidInputError) as error:
             bad = error if bad is None and isinstance(error, InvalidInputError) else bad
             refused[number] = str(error)
@@ -167,6 +176,14 @@ def _posed(
     if not seen:
         raise DegenerateProblemError("observations", "no pose in any image", "Give more, or better spread, keypoints.")
     return seen, starts, refused
+
+
+def _model(looked: Sequence[tuple[Observation, Camera, SolveSetup]], setup: SolveSetup) -> VehicleModel:
+    """The vehicle's model: for the class that somebody says, else by its images where the fleet has vans."""
+    told = [one for one, _, _ in looked]
+    if setup.fits_classes and setup.classes_of(told) is None:
+        told = [fitted for one, camera, own in looked for fitted in with_fitted_classes([one], camera, own, own.ground)]
+    return setup.model_of(told)
 
 
 def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[Status, str]:

@@ -63,7 +63,7 @@ def _row(frame: TrackedFrame, identity: int) -> dict[str, Any]:
 
 
 def motion_of(estimate: VehicleEstimate) -> dict[str, float | None]:
-    """Velocity (m/s), speed, turn rate (rad/s) and the probability of the facing; None where not known.
+    """Velocity and speed (m/s), its standard deviation, turn rate (rad/s), facing's probability; None where not known.
 
     The velocity is along the world's axes where the world is known, else relative to the camera and along its axes.
     """
@@ -72,6 +72,7 @@ def motion_of(estimate: VehicleEstimate) -> dict[str, float | None]:
     return {
         **dict(zip(("velocity_x", "velocity_y", "velocity_z"), along, strict=True)),
         "speed": estimate.speed,
+        "speed_sigma": estimate.speed_sigma,
         "turn_rate": estimate.turn_rate,
         "facing_probability": facing if np.isfinite(facing) else None,
     }

@@ -268,7 +268,9 @@ def values_of(estimate: VehicleEstimate) -> dict[str, tuple[float, ...]]:
         return {}
     sizes, sigma = result.uncertainty.size_covariance, result.heading_sigma
     spreads = np.full(3, np.nan) if sizes is None else np.sqrt(np.diag(sizes))
-    known = {name: (value,) for name, value in motion_of(estimate).items() if value is not None}
+    motion = motion_of(estimate)
+    del motion["speed_sigma"]  # the band of the speed
+    known = {name: (value,) for name, value in motion.items() if value is not None}
     return {
         "yaw": _band(np.degrees(result.rotation_y), None if sigma is None else np.degrees(sigma)),
         **{name: _band(*pair) for name, *pair in zip(SIZES, result.box_size, spreads, strict=True)},

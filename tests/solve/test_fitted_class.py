@@ -81,3 +81,14 @@ def test_over_time_all_frames_say_which_it_is(vehicles):
         estimates = tracker.update(time, dict(enumerate(vehicles)), camera=CAMERA, ground=1.65)
     assert off(estimates[1].reconstruction, PLACES[1]) < 1.5
     assert off(estimates[0].reconstruction, PLACES[0]) < 1.0
+
+
+def test_images_of_one_vehicle_say_together_which_it_is(vehicles):
+    found, mixed = (
+        fgrecon.reconstruct_track([vehicles[1]] * 3, CAMERA, size_prior=fleet, ground=1.65)
+        for fleet in ("kitti", "kitti_traffic")
+    )
+    assert off(mixed.frames[0], PLACES[1]) < 0.5 * off(found.frames[0], PLACES[1])
+    told = [replace(one, evidence=(VehicleClass("car"),)) for one in vehicles]
+    car = fgrecon.reconstruct_track([vehicles[1], told[1]], CAMERA, size_prior="kitti_traffic", ground=1.65)
+    assert off(car.frames[0], PLACES[1]) > 2.0 * off(mixed.frames[0], PLACES[1]), "what somebody says counts alone"

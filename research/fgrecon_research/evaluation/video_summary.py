@@ -78,7 +78,8 @@ _OCCLUSIONS = {0: "fully visible", 1: "partly occluded", 2: "largely occluded"}
 _UNITS = {
     "mean_degrees": "degrees of yaw error on the full circle; a refused box counts 180",
     "aop": "percent of all boxes with a yaw error of at most 5, 15 and 30 degrees",
-    "heading_flips": "percent of all boxes with a yaw error above 90 degrees",
+    "heading_flips": "percent of all boxes with a pose whose yaw error is above 90 degrees",
+    "without_estimate": "percent of all boxes without a pose: no heading flips",
     "silent": "percent of all boxes with a heading flip that have the status converged; null for a rival",
     "network_heading_flips": "percent of all boxes where the directions within 90 degrees of the labelled one have at "
     "most half of the network's probability; null where it gives no directions",
@@ -112,7 +113,8 @@ class PoseSummary:
     tracks: int  # number of tracks that they are of
     mean_degrees: Interval  # mean yaw error; a refused box counts 180
     aop: Mapping[int, Interval]  # share within 5, 15 and 30 degrees
-    heading_flips: Interval  # share more than 90 degrees off
+    heading_flips: Interval  # share with a pose that is more than 90 degrees off
+    without_estimate: Interval  # share without a pose
     # share of heading flips though the status is `converged`; None for a method without a status
     silent: Interval | None
     # share for which the network finds the wrong half of all directions more probable, or no half; None where it gives
@@ -203,7 +205,7 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> PoseSummary:
     def share(members: Sequence[bool]) -> Interval:
         return mean_interval(100.0 * np.array(members, dtype=np.float64), tracks)
 
-    flips = [one.degrees > FLIPPED_DEGREES for one in found]
+    flips = [one.failure is None and one.degrees > FLIPPED_DEGREES for one in found]
     silent = [off and one.status == Status.CONVERGED.value for off, one in zip(flips, found, strict=True)]
     metres = np.array([one.metres for one in found])
     sizes = [one.size for one in found if one.size is not None]
@@ -232,6 +234,7 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> PoseSummary:
         mean_degrees=mean_interval([one.degrees for one in found], tracks),
         aop={threshold: share([one.degrees <= threshold for one in found]) for threshold in THRESHOLDS},
         heading_flips=share(flips),
+        without_estimate=share([one.failure is not None for one in found]),
         silent=share(silent) if method == SYSTEM else None,
         network_heading_flips=share([value <= 0.5 for value in facing]) if len(facing) == len(boxes) else None,
         median_metres=values.get("median_metres", np.nan),
@@ -370,7 +373,8 @@ def _plain(summary: PoseSummary) -> dict[str, Any]:
 
 
 _HEADINGS = (
-    *("boxes", "method", *(f"AOP {threshold}° %" for threshold in THRESHOLDS), "flipped %", "silent %", "network %"),
+    *("boxes", "method", *(f"AOP {threshold}° %" for threshold in THRESHOLDS)),
+    *("flipped %", "no estimate %", "silent %", "network %"),
     *(
         "yaw °",
         "median m",
@@ -382,7 +386,7 @@ _HEADINGS = (
         "jitter m",
         *(f"{name} NEES" for name in DIMENSIONS),
     ),
-    *("velocity m/s", "refused"),
+    "velocity m/s",
 )
 _FIRST = "regime"
 
@@ -415,6 +419,7 @@ def _cells(score: PoseSummary) -> list[str]:
     found = [
         *(shown(share, 1) for share in score.aop.values()),
         shown(score.heading_flips, 2),
+        shown(score.without_estimate, 2),
         shown(score.silent, 2),
         "-" if score.network_heading_flips is None else f"{score.network_heading_flips.value:.1f}",
         f"{score.mean_degrees.value:.2f}",
@@ -431,4 +436,4 @@ def _cells(score: PoseSummary) -> list[str]:
         found.append(
             "-" if one is None else f"{one.mean:.1f} / {one.median:.2f} / {one.within:.0f} % / {one.inside:.0f} %"
         )
-    return [*found, shown(score.intervals.get("median_velocity"), 2), str(score.refused)]
+    return [*found, shown(score.intervals.get("median_velocity"), 2)]

@@ -55,7 +55,7 @@ def test_the_numbers_of_a_group():
     assert (found.boxes, found.tracks, found.refused) == (8, 5, 1)
     assert found.mean_degrees.value == pytest.approx((5 + 15 + 90 + 91 + 170 + 180 + 30.1) / 8)
     assert {t: share.value for t, share in found.aop.items()} == {5: 25.0, 15: 37.5, 30: 37.5}
-    assert found.heading_flips.value == 37.5
+    assert (found.heading_flips.value, found.without_estimate.value) == (25.0, 12.5)
     assert found.silent.value == 12.5  # ambiguous and refused ones do not hide it
     assert found.network_heading_flips.value == 25.0
     assert (found.median_metres, found.mean_metres) == (2.0, pytest.approx(20.0 / 7))
@@ -153,9 +153,10 @@ def test_the_document_is_plain_and_whole():
     groups = made["methods"][SYSTEM]
     assert list(groups) == ["drive", "regime", "view", "height", "occlusion", "distance"]
     assert groups["regime"]["all"] == groups["drive"]["d"]
-    assert groups["regime"]["all"]["heading_flips"]["value"] == pytest.approx(200.0 / 3)
+    assert groups["regime"]["all"]["heading_flips"]["value"] == pytest.approx(100.0 / 3)
     rear = groups["view"]["rear"]  # one track, refused
-    assert rear["heading_flips"] == {"value": 100.0, "low": None, "high": None}
+    assert rear["heading_flips"] == {"value": 0.0, "low": None, "high": None}
+    assert rear["without_estimate"]["value"] == 100.0
     assert (rear["median_metres"], rear["mean_metres"], rear["mean_size_error"]) == (None, None, None)
     assert sum(entry["boxes"] for entry in made["facing"]["bins"]) == 3
     assert made["facing"]["expected_calibration_error"] == pytest.approx(0.7 / 3)
