@@ -224,11 +224,18 @@ class _End:
         """How probable the facing is; NaN where nothing says, or other images decide."""
         if self.given_facing is not None:
             return self.given_facing
-        directions, detector = self.part.problem.observation.azimuth, self.part.problem.options.keypoints
-        if directions is None or self.part.share < 1.0 or not np.isfinite(self.pose).all():
+        if self.part.share < 1.0 or not np.isfinite(self.pose).all():
             return float("nan")
-        probability = pose_facing_probability(directions, self.pose)
-        return calibrated_facing(probability, detector.facing_bias, detector.facing_slope)
+        return _image_facing(self.part.problem, self.pose)
+
+
+def _image_facing(problem: Problem, camera_T_object: Array) -> float:
+    """How probably a pose (4, 4) faces the right way by the directions of its image; NaN without any."""
+    directions, detector = problem.observation.azimuth, problem.options.keypoints
+    if directions is None:
+        return float("nan")
+    probability = pose_facing_probability(directions, camera_T_object)
+    return calibrated_facing(probability, detector.facing_bias, detector.facing_slope)
 
 
 def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
@@ -349,6 +356,21 @@ def weakened(result: Reconstruction, reasons: Sequence[str], status: Status = St
         return replace(result, reasons=every)
     text = "; ".join(every if status is Status.WEAK else reasons)
     return replace(result, status=status, message=f"{text[0].upper()}{text[1:]}.", reasons=every)
+
+
+def with_facing_over_time(result: Reconstruction, problem: Problem) -> Reconstruction:
+    """A frame's result with a facing by all frames, ambiguous unless that is sure or the image by itself says the same.
+
+    Frames of one vehicle err together, and what they leave to the other facing is less than what it is.
+
+    Args:
+        problem: What the frame's image shows, as it was given.
+    """
+    facing, alone = result.facing_probability, _image_facing(problem, result.camera_T_object)
+    if facing >= STATUS.sure_facing or alone >= STATUS.ambiguous_facing:
+        return result
+    left = f"all frames leave {100 * (1 - facing):.0f} % for the other facing, and this one alone does not tell"
+    return weakened(result, (left,), Status.AMBIGUOUS)
 
 
 def _status(end: _End, box_size: Array) -> tuple[Status, str]:

@@ -142,6 +142,7 @@ class StatusSettings:
     """Limits of trust in results; chosen on five drives of KITTI's video, tested on two (docs/reference/result.md)."""
 
     ambiguous_facing: float = 0.8  # less is ambiguous: 80 % of the cars that are flipped, and 6 % of the others
+    sure_facing: float = 0.953  # of a facing over time, which is not ambiguous then whatever its frame says; not tuned
     size_ratio: float = 5.0  # times longer, wider or higher than the prior's mean, or as many times less: no vehicle
     rotation_sigma_rad: float = float(np.deg2rad(30.0))  # a rotation known no better than this is not determined
     small_turn_deg: int = 10  # of an alternative that is turned by less it is said how far away it is

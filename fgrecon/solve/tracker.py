@@ -23,7 +23,6 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.evidence import Evidence
-from fgrecon.core.half_turn import flipped_alternative
 from fgrecon.core.history import Deferred
 from fgrecon.core.input_warnings import InputWarnings, warn_of
 from fgrecon.core.observation import KeypointsLike, Observation
@@ -50,7 +49,7 @@ from fgrecon.solve.inputs import (
     without_rates_over_ground,
 )
 from fgrecon.solve.proposals.point_term import with_its_points
-from fgrecon.solve.result import marginalise, results
+from fgrecon.solve.result import marginalise, results, with_facing_over_time
 from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.threads import single_threaded
@@ -365,17 +364,19 @@ def _estimates(
     single = len(solved.seen) == 1
     selected = [frame for frame, _ in frames.values()]
     facings = [frame.belief.facing(rotation_y(frame.pose.matrix())) for frame in selected]
-    adjusted, known = solved.adjusted, None
+    adjusted, known, said = solved.adjusted, None, None
     spreads: Sequence[Array | None] = [None] * len(selected)
     if not single:
-        alternatives, shape = [*adjusted.alternatives], adjusted.optimum.state.shapes[0][0]
-        for index, frame, facing in zip(frames, selected, facings, strict=True):  # as improbable as by the track
-            flipped = flipped_alternative(frame.pose.matrix(), shape, facing)
-            alternatives[index] = flipped or alternatives[index]
-        adjusted = replace(adjusted, alternatives=tuple(alternatives))
+        each = dict(zip(frames, facings, strict=True))
+        said = [each.get(index) for index in range(len(solved.seen))]
         known = marginalise(adjusted.graph, adjusted.optimum, at_once=frames)
         spreads = velocity_covariances(solved, selected)
-    reconstructions = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=frames, marginalised=known)
+    reconstructions = results(
+        solved.seen, solved.starts, adjusted, {}, solved.extra, only=frames, facing=said, marginalised=known
+    )
+    if not single:
+        pairs = zip(selected, reconstructions, strict=True)
+        reconstructions = [with_facing_over_time(result, frame.given) for frame, result in pairs]
     found = []
     for (index, (frame, context)), result, facing, spread in zip(
         frames.items(), reconstructions, facings, spreads, strict=True

@@ -14,7 +14,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.covariance import Covariances
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.pipeline import reconstruct
-from fgrecon.solve.result import results
+from fgrecon.solve.result import results, with_facing_over_time
 from tests.cars import CAMERA, observe, yaw_pose
 from tests.settings import options as make_options
 from tests.solve.graph.support import problem_of, solve
@@ -165,3 +165,21 @@ def test_the_calibration_keeps_the_order_and_is_less_sure():
     assert (np.diff(calibrated) > 0.0).all()
     assert all(c < p for c, p in zip(calibrated[50:], probabilities[50:], strict=True))
     assert 0.0 < calibrated[0] < calibrated[-1] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("behind", "facing", "status"), [(0.0, 0.9, "converged"), (0.4, 0.9, "ambiguous"), (0.4, 0.97, "converged")]
+)
+def test_a_facing_over_time_is_sure_or_its_image_alone_says_the_same(behind, facing, status):
+    prior, pose = load_prior("car14"), yaw_pose(0.6)
+    bin_ = round(float(view_azimuth(pose[:3, :3], pose[:3, 3])) / (2 * np.pi) * 36) % 36
+    directions = np.zeros(36)
+    directions[bin_], directions[(bin_ + 18) % 36] = 1.0 - behind, behind
+    problem, _ = problem_of(0)
+    problem = problem.showing(replace(observe(prior, pose), azimuth=directions))
+    alone = reconstruct(observe(prior, pose), CAMERA, ground=1.65)
+    assert alone.status is Status.CONVERGED
+    over_time = replace(alone, uncertainty=replace(alone.uncertainty, facing_probability=facing))
+    result = with_facing_over_time(over_time, problem)
+    assert result.status == status
+    assert ("10 % for the other facing" in result.message) == (status == "ambiguous")
