@@ -231,6 +231,11 @@ def test_the_sweep_of_a_sample_is_in_the_cameras_frame(tmp_path):
         ("oxts/timestamps.txt", lambda text: text.replace("2011", "noon", 1), r"timestamps.txt:1: got noon"),
         ("oxts/data/0000000001.txt", lambda text: text[:20], r"0000000001.txt.*6 numbers"),
         (
+            "../calib_cam_to_cam.txt",
+            lambda text: text.replace("S_rect_02", "S_none"),
+            r"calib_cam_to_cam.txt: S_rect_02: got no such line",
+        ),
+        (
             "../calib_imu_to_velo.txt",
             lambda text: text.replace("T:", "S:"),
             r"calib_imu_to_velo.txt: T: got no such line",
@@ -264,3 +269,9 @@ def test_a_malformed_file_of_zod_is_named(tmp_path, file, change, message):
     path.write_text(path.read_text().replace(*change))
     with pytest.raises(InvalidInputError, match=message):
         open_drive(f"{tmp_path}#frames/000000/front_blur")
+
+
+def test_a_frame_of_kittis_raw_data_without_a_time_of_its_pose_is_not_labelled(tmp_path):
+    path = made_up.write_kitti_raw(tmp_path) / "2011_09_26_drive_0001_sync" / "oxts/timestamps.txt"
+    path.write_text(path.read_text().split("\n")[0])
+    assert [frame.labelled for frame in open_drive(f"{tmp_path}#image_02").frames] == [True, False]

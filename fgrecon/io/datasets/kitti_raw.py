@@ -61,6 +61,9 @@ def _read(name: str, path: Path) -> DataSequence:
             raise InvalidInputError(
                 str(day / "calib_velo_to_cam.txt"), "no such file", "Give the calibration of the day."
             )
+        if read.camera.image_size is None:
+            field = f"{day / _CALIB}: {camera.replace('image', 'S_rect')}"
+            raise InvalidInputError(field, "no such line", "Give the file as the data set has it.")
         mount = np.linalg.inv(read.camera_T_lidar @ velo_T_imu).astype(np.float64)
         times = _times(path / camera / "timestamps.txt")
         images += [
@@ -72,7 +75,7 @@ def _read(name: str, path: Path) -> DataSequence:
                 lens=read.camera,
                 vehicle_T_camera=mount,
                 world_T_vehicle=pose,
-                moment=str(frame) if labelled else None,
+                moment=str(frame) if str(frame) in moments else None,
             )
             for frame, pose in poses.items()
             if frame < len(times)

@@ -109,7 +109,7 @@ def _calibration(path: Path) -> tuple[Camera, Array, Array]:
     ]
     rows = found.get("intrinsics", list)
     columns = len(rows[0]) if rows and isinstance(rows[0], list) else 3
-    width, height = found.numbers("image_dimensions", (2,)).astype(int).tolist()
+    width, height = (int(side) for side in found.numbers("image_dimensions", (2,)))
     with within(found.where):
         matrix = found.numbers("intrinsics", (3, min(max(columns, 3), 4)))[:, :3]
         lens = found.numbers("distortion", (4,))
