@@ -261,6 +261,11 @@ def test_a_malformed_file_of_kittis_raw_data_is_named(tmp_path, file, change, me
         ("calibration.json", ('"FC"', '"front"'), r"calibration.json: FC: got nothing"),
         ("calibration.json", ("[1600, 900]", "[1600]"), r"calibration.json: FC\.image_dimensions"),
         ("ego_motion.json", ('"timestamps": [', '"timestamps": [0, '), r"ego_motion.json: poses.*list of 15"),
+        (
+            "../../trainval-frames-mini.json",
+            ('"camera_frames": {', '"camera_frames": {"side": true, '),
+            r"train\[0\]\.camera_frames\.side: got True",
+        ),
         ("../../trainval-frames-mini.json", ("2022-04-15", "noon"), r"train\[0\]\.keyframe_time: got noon"),
     ],
 )

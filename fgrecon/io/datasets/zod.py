@@ -59,9 +59,10 @@ def _read(name: str, entry: Fields) -> DataSequence:
     lens, vehicle_T_camera, vehicle_T_lidar = _calibration(root / entry.get("calibration_path", str))
     poses = _poses(root / entry.get("ego_motion_path", str))
     key = _seconds(entry, "keyframe_time")
-    shots: dict[str, list[Fields]] = {
-        camera: [Fields(shot, f"{entry.where}camera_frames.{camera}[{i}].") for i, shot in enumerate(found)]
-        for camera, found in entry.get("camera_frames", dict).items()
+    cameras = Fields(entry.get("camera_frames", dict), f"{entry.where}camera_frames.")
+    shots = {
+        camera: [Fields(shot, f"{cameras.where}{camera}[{i}].") for i, shot in enumerate(cameras.get(camera, list))]
+        for camera in cameras.data
     }
     labels = Fields(entry.data.get("annotations") or {}, f"{entry.where}annotations.").data.get("object_detection")
     world_T_vehicle = poses.at(0, key)
