@@ -1,5 +1,6 @@
 """Results as files of annotation tools, read back: `tests/formats/test_labels.py` has the tools' own libraries."""
 
+import contextlib
 import json
 from dataclasses import replace
 from xml.etree import ElementTree as ET
@@ -16,7 +17,7 @@ from fgrecon.core.geometry import transform
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.export import ImageInfo, NamedResult, export
 from fgrecon.io.export.image_info import image_box
-from fgrecon.io.keypoints import read_any_keypoints
+from fgrecon.io.keypoints import parse_any_keypoints, read_any_keypoints
 from tests.io.formats import CATEGORY
 from tests.results import changed
 from tests.viz.made_up import make_example
@@ -140,3 +141,25 @@ def test_batches_and_reconstruct_take_what_was_exported(cars, tmp_path, kind):
     assert len(list(source.rows())) == len(cars)
     tasks = read_tasks(path, CATEGORY, CameraSource(intrinsics=[721.5, 721.5, 609.6, 172.9])).tasks
     assert [task.instance.kind for task in tasks] == ["Car", "Van"]
+
+
+def _places(data, way=()):
+    """The ways to all values of a file, of lists to the first alone."""
+    items = data.items() if isinstance(data, dict) else enumerate(data[:1]) if isinstance(data, list) else ()
+    for key, value in items:
+        yield (*way, key)
+        yield from _places(value, (*way, key))
+
+
+@pytest.mark.parametrize("kind", ["label_studio", "scalabel", "labelme", "supervisely", "datumaro", "fiftyone"])
+def test_whatever_value_is_replaced_is_read_or_refused_by_name(cars, tmp_path, kind):
+    text = export(tmp_path / "x.json", cars[:1], kind).read_text()
+    for way in _places(json.loads(text)):
+        for value in (None, "x", [], {}, 5, True, [[1]], -1.5):
+            data = json.loads(text)
+            inside = data
+            for key in way[:-1]:
+                inside = inside[key]
+            inside[way[-1]] = value
+            with contextlib.suppress(InvalidInputError):
+                parse_any_keypoints(data, CATEGORY)

@@ -206,7 +206,7 @@ def test_a_graph_of_supervisely_has_the_box_of_its_instance():
         (
             scalabel,
             lambda d: d["frames"][0]["labels"][0]["graph"]["nodes"][0].update(location="x"),
-            r"frames\[0\]\.labels\[0\]\.graph\.nodes\.location",
+            r"frames\[0\]\.labels\[0\]\.graph\.nodes\[0\]\.location",
         ),
         (scalabel, lambda d: d["frames"][0]["labels"][0]["box2d"].pop("y1"), r"labels\[0\]\.box2d\.y1"),
         (datumaro, lambda d: d["items"][0]["annotations"][0].update(label_id=5), r"annotations\[0\]\.label_id"),

@@ -21,7 +21,7 @@ from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.io.json_fields import Fields, numbers
+from fgrecon.io.json_fields import Fields, numbers, plain_id
 
 Record = dict[str, Any]
 Records = Iterator[tuple[Record | InvalidInputError, str]]
@@ -47,6 +47,17 @@ def label_reader(data: Any) -> Callable[[Fields], Records] | None:
 
 def _is_map(value: Any) -> bool:
     return isinstance(value, Mapping)
+
+
+def _object(fields: Fields, name: str) -> Fields:
+    """A field that is an object; empty where there is none."""
+    return Fields(fields.get(name, dict) if name in fields else {}, f"{fields.where}{name}.")
+
+
+def _objects(fields: Fields, name: str) -> list[Fields]:
+    """The objects of a field that is a list; none where there is no such field."""
+    found = fields.get(name, list) if name in fields else []
+    return [Fields(one, f"{fields.where}{name}[{at}].") for at, one in enumerate(found)]
 
 
 def _each(items: Mapping[Any, Any], make: Callable[[Any, Any], Record | None], where: str) -> Records:
@@ -98,10 +109,8 @@ def _scalabel(fields: Fields) -> Records:
         frame = Fields(item, f"{fields.where}frames[{number}].")
         image = str(frame.data.get("name", "")).rsplit("/", 1)[-1]
 
-        def made(key: int, item: Any, frame: Fields = frame, image: str = image) -> Record | None:
-            label = Fields(item, f"{frame.where}labels[{key}].")
-            graph = Fields(label.data.get("graph") or {}, f"{label.where}graph.")
-            nodes = [Fields(node, f"{graph.where}nodes.") for node in graph.data.get("nodes") or ()]
+        def made(key: int, label: Fields, image: str = image) -> Record | None:
+            nodes = _objects(_object(label, "graph"), "nodes")
             record: Record = {"id": f"{image}:{label.data.get('id', key)}", "image": image}
             record["keypoints"] = {
                 node.get("category", str): [
@@ -116,14 +125,14 @@ def _scalabel(fields: Fields) -> Records:
                 record["box"] = [float(box.numbers(name, ())) for name in ("x1", "y1", "x2", "y2")]
             return record
 
-        yield from _each(dict(enumerate(frame.data.get("labels") or ())), made, frame.where)
+        yield from _each(dict(enumerate(_objects(frame, "labels"))), made, frame.where)
 
 
 def _supervisely(fields: Fields) -> Records:
     found: dict[Any, list[Fields]] = defaultdict(list)
     for number, item in enumerate(fields.get("objects", list)):
         figure = Fields(item, f"{fields.where}objects[{number}].")
-        found[figure.data.get("instance") or f"figure {number}"].append(figure)
+        found[plain_id(figure.data.get("instance")) or f"figure {number}"].append(figure)
 
     def made(key: Any, figures: list[Fields]) -> Record | None:
         record: Record = {"id": key, "keypoints": {}}
@@ -145,26 +154,26 @@ def _supervisely(fields: Fields) -> Records:
 
 def _datumaro(fields: Fields) -> Records:
     categories = Fields(fields.get("categories", dict), f"{fields.where}categories.")
-    labels = [one.get("name") for one in (categories.data.get("label") or {}).get("labels") or ()]
-    names = {one.get("label_id"): one.get("labels") for one in (categories.data.get("points") or {}).get("items") or ()}
+    labels = [one.data.get("name") for one in _objects(_object(categories, "label"), "labels")]
+    of_points = _objects(_object(categories, "points"), "items")
+    names = {plain_id(one.data.get("label_id")): one.data.get("labels") for one in of_points}
     for number, item in enumerate(fields.get("items", list)):
         entry = Fields(item, f"{fields.where}items[{number}].")
-        path = str((entry.data.get("image") or {}).get("path") or entry.data.get("id", ""))
+        path = str(_object(entry, "image").data.get("path") or entry.data.get("id", ""))
         groups: dict[Any, list[Fields]] = defaultdict(list)
-        for at, one in enumerate(entry.data.get("annotations") or ()):
-            annotation = Fields(one, f"{entry.where}annotations[{at}].")
-            groups[annotation.data.get("group") or "0"].append(annotation)
+        for annotation in _objects(entry, "annotations"):
+            groups[plain_id(annotation.data.get("group")) or "0"].append(annotation)
 
         def made(key: Any, group: list[Fields], path: str = path) -> Record | None:
             record: Record = {"id": f"{path}:{key}", "image": path.rsplit("/", 1)[-1], "keypoints": {}}
             for one in group:
-                label = one.data.get("label_id")
+                label = plain_id(one.data.get("label_id"))
                 if one.data.get("type") == "points":
                     record["keypoints"] |= _datumaro_points(one, names.get(label))
                 elif one.data.get("type") == "bbox":
                     x, y, width, height = one.numbers("bbox", (4,)).tolist()
                     record["box"] = [x, y, x + width, y + height]
-                if isinstance(label, int) and label < len(labels):
+                if isinstance(label, int) and 0 <= label < len(labels):
                     record["kind"] = _word(labels[label])
             return record
 
@@ -192,13 +201,13 @@ def _fiftyone(fields: Fields) -> Records:
                 continue
             for at, one in enumerate(Fields(content, f"{sample.where}{name}.").get(kind.lower(), list)):
                 label = Fields(one, f"{sample.where}{name}.{kind.lower()}[{at}].")
-                index = label.data.get("index")
+                index = plain_id(label.data.get("index"))
                 found[f"{kind} {at}" if index is None else index][kind] = label
 
         def made(key: Any, labels: dict[str, Fields], sample: Fields = sample, image: str = image) -> Record | None:
             if "Keypoints" not in labels:
                 return None
-            about = Fields(sample.data.get("metadata") or {}, f"{sample.where}metadata.")
+            about = _object(sample, "metadata")
             size = [about.whole(side, 1) for side in ("width", "height")]
             kind = labels["Keypoints"].data.get("label") or "Car"
             record: Record = {"id": f"{image}:{key}", "image": image, "kind": _word(kind)}

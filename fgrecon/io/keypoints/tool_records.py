@@ -22,7 +22,7 @@ from xml.etree import ElementTree as ET
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.io.json_fields import Fields
+from fgrecon.io.json_fields import Fields, plain_id
 from fgrecon.io.keypoints.label_records import label_reader
 
 Record = dict[str, Any]
@@ -58,7 +58,8 @@ def tool_records(data: Any, where: str) -> _Records:
 
 def _label_studio(tasks: Sequence[Any], where: str) -> _Records:
     for number, task in enumerate(tasks):
-        image = next((value for value in task["data"].values() if isinstance(value, str)), None)
+        shown = Fields(task["data"], f"{where}[{number}].data.").data
+        image = next((value for value in shown.values() if isinstance(value, str)), None)
         name = {} if image is None else {"image": image.rsplit("/", 1)[-1].partition("?")[0]}
         for at, annotation in enumerate(task["annotations"]):
             place = f"{where}[{number}].annotations[{at}]."
@@ -123,7 +124,7 @@ def _labelme(fields: Fields) -> _Records:
     groups: dict[Any, list[Fields]] = defaultdict(list)
     for number, item in enumerate(fields.get("shapes", list)):
         shape = Fields(item, f"{fields.where}shapes[{number}].")
-        groups[shape.data.get("group_id")].append(shape)
+        groups[plain_id(shape.data.get("group_id"))].append(shape)
     for group, shapes in groups.items():
         record: Record = {"id": 0 if group is None else group, "keypoints": {}}
         record["image"] = Path(fields.get("imagePath", str).replace("\\", "/")).name
