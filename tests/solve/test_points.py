@@ -29,9 +29,11 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.inputs import SolveSetup
+from fgrecon.solve.proposals.point_search import search_with_points
 from fgrecon.solve.proposals.point_term import with_its_points
 from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.vehicle.visibility import clearance, probability
 
 CAMERA = Camera.of(np.array([[700.0, 0.0, 600.0], [0.0, 700.0, 180.0], [0.0, 0.0, 1.0]]))
@@ -124,6 +126,17 @@ def test_a_step_of_the_result_does_not_lower_the_energy() -> None:
     found = minimize(energy, np.zeros(11), method="BFGS")
     assert energy(np.zeros(11)) - found.fun < 1e-3
     assert np.abs(found.x[:6]).max() < 2e-3
+
+
+@pytest.mark.parametrize("lost", [True, False])
+def test_where_the_picture_ended_elsewhere_the_search_goes_all_round(lost: bool) -> None:
+    observation, points = scanned(0.4, PLACE)
+    setup = SolveSetup.of("car14", "kitti", OPTIONS, 1.65)
+    problem = Problem.of(replace(observation, evidence=(Points(points),)), CAMERA, setup.model, setup.ground, OPTIONS)
+    aside = np.eye(4)
+    aside[:3, 3] = 40.0, 1.0, 12.0
+    found = search_with_points(problem, Hypotheses.at_poses(aside[None], PRIOR.dimension), 0.0 if lost else 5.0)
+    assert (np.linalg.norm(found.poses[0, :3, 3] - PLACE) < 1.0) == lost
 
 
 def test_a_vehicle_without_keypoints() -> None:

@@ -26,13 +26,16 @@ Array = NDArray[np.float64]
 POINTS = SETTINGS.points
 
 
-def search_with_points(problem: Problem, pictured: Hypotheses) -> SearchResult:
+def search_with_points(problem: Problem, pictured: Hypotheses, carrying: float) -> SearchResult:
     """Where the search ends with the points.
 
     Args:
         problem: With a term of points, and all coefficients.
         pictured: Poses that the picture alone leads to, with all coefficients.
+        carrying: Sum of the keypoints' weights at the one of them that has the largest.
     """
+    if problem.observation.measured.sum() < SETTINGS.least_keypoints or carrying < POINTS.least_carrying:
+        pictured = Hypotheses.joined([pictured, _around(problem)])
     some = tuple(replace(one, rows=_some(_unsure(one))) for one in problem.energy.points)
     energy = replace(problem.energy, points=some)
     rough = replace(energy, points=tuple(replace(one, rows=_roughly(one.rows)) for one in some))
@@ -71,14 +74,20 @@ def _roughly(rows: PointRows) -> PointRows:
     return replace(rows, sigma=np.full(len(rows.points), POINTS.rough_sigma_m), along=along, odds=odds)
 
 
+def _around(problem: Problem) -> Hypotheses:
+    """In the 2D box, turned all round: where the picture does not tell how a vehicle is turned.
+
+    So it is as well where the picture's poses leave every keypoint, and the box: a van as a car is nearer than it is,
+    and there it is off a ground that is surely known.
+    """
+    azimuths = 2.0 * np.pi * np.arange(POINTS.azimuths) / POINTS.azimuths
+    box, ground = view_box(problem.observation), problem.ground
+    return at_azimuths(box, problem.camera, problem.model, ground, azimuths, relative=True)
+
+
 def _starts(problem: Problem, pictured: Hypotheses) -> Hypotheses:
     """The picture's poses, and all of them at the depths at which points begin, as several kinds of vehicles."""
     energy = problem.energy
-    if problem.observation.measured.sum() < SETTINGS.least_keypoints:
-        azimuths = 2.0 * np.pi * np.arange(POINTS.azimuths) / POINTS.azimuths
-        box, ground = view_box(problem.observation), problem.ground
-        around = at_azimuths(box, problem.camera, problem.model, ground, azimuths, relative=True)
-        pictured = Hypotheses.joined([pictured, around])
     ranges = np.linalg.norm(np.concatenate([one.rows.points for one in energy.points]), axis=1)
     depths = np.unique(np.quantile(ranges, POINTS.start_quantiles).round(1))
     far = np.linalg.norm(pictured.translation, axis=1)

@@ -65,7 +65,7 @@ def search_pose(problem: Problem, initial: Box3D | float | Array | None = None) 
         raise DegenerateProblemError("keypoints", "no pose in front of the camera", "Check intrinsics, box and points.")
     found, energies, weights = result.hypotheses.of_dimension(dimension), result.energy, result.weights
     if problem.energy.points:
-        with_points = search_with_points(problem, found)
+        with_points = search_with_points(problem, found, float(weights.sum(axis=1).max()))
         found, energies, weights = with_points.hypotheses, with_points.energy, with_points.weights
     best, coefficients = found.matrices(), found.coefficients
     visibility = energy.visible_from(best[0])

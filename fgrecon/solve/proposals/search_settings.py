@@ -103,7 +103,9 @@ class PointSettings:
     start_offsets_m: tuple[float, ...] = (1.0, 2.0)
     """From there to a vehicle's middle; not tuned."""
     azimuths: int = 8
-    """All round, where keypoints do not tell how a vehicle is turned."""
+    """All round, where the picture does not tell how a vehicle is turned."""
+    least_carrying: float = 1.0
+    """Keypoints' weights together, below which the picture's poses tell nothing; of 3, a hidden van went elsewhere."""
     larger_size_m: tuple[float, ...] = (4.9, 1.85, 2.0)
     """Length, width and height of a second kind of vehicle to start with: a van."""
     rough_sigma_m: float = 0.3
