@@ -43,8 +43,8 @@ def test_a_scan_is_placed_and_knows_where_its_sensor_is(folder: Path) -> None:
     ("given", "message"),
     [
         ({"lidar_pose": Path("pose.txt")}, "--lidar"),
-        ({"lidar": "nowhere"}, "end in"),
-        ({"depth": "nowhere"}, "end in"),
+        ({"lidar": "nowhere"}, "that exists"),
+        ({"depth": "nowhere"}, "that exists"),
         ({"depth_scale": DepthScale.SCALE}, "--depth"),
         ({"right_pose": Path("pose.txt")}, "--right"),
         ({"right_camera": "right.yaml"}, "--right"),

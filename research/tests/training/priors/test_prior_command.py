@@ -39,8 +39,8 @@ def test_build_options(data, tmp_path):
 def test_build_with_leave_one_out(data, tmp_path):
     result = run("build", "--out", tmp_path / "car14.npz", "--data", data, "--leave-one-out")
     assert result.exit_code == 0, result.output
-    rows = [line.replace("│", "").split() for line in result.stdout.splitlines() if line.startswith("│")]
-    assert rows[4] == ["5", "93.3", "6.1", "4.9", "5.4"]
+    rows = [line.split() for line in result.stdout.splitlines()]
+    assert ["5", "93.3", "6.1", "4.9", "5.4"] in rows
 
 
 def test_errors(tmp_path):
