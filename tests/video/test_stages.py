@@ -78,11 +78,11 @@ def test_collections_are_rare_inside_and_as_before_afterwards(frozen):
     before = gc.get_threshold()
     if frozen:
         gc.freeze()
-    count = gc.get_freeze_count()
     try:
         with rare_collections():
             assert gc.get_threshold()[0] > before[0]
             assert gc.get_freeze_count() > 0
-        assert (gc.get_threshold(), gc.get_freeze_count()) == (before, count)
+        # what was frozen may be freed meanwhile: a count would not hold
+        assert (gc.get_threshold(), gc.get_freeze_count() > 0) == (before, frozen)
     finally:
         gc.unfreeze()
