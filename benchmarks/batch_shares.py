@@ -78,7 +78,7 @@ class Clocked:
 
 
 def keypoint_shares(file: Path, cars: int) -> Shares:
-    """Milliseconds a car of the first cars of a file, told size and ground, by stage."""
+    """Milliseconds a car of the first cars of a file, size and ground given, by stage."""
     return _shares([file], cars, "cars", _KEYPOINTS, size_prior="kitti", ground=1.65)[0]
 
 

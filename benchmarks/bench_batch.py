@@ -175,8 +175,8 @@ def check(out: Path, count: int) -> str:
     ids, statuses = table.column("row_id"), table.column("status").value_counts().to_pylist()
     assert len(table) == count == len(set(ids.to_pylist())), f"{len(table)} rows of {count}"
     size = sum(path.stat().st_size for path in out.glob("part-*.parquet"))
-    told = ", ".join(f"{one['counts']} {one['values']}" for one in statuses)
-    return f"every row once; {told}; {size / count / 1e3:.2f} kB a row in {len(list(out.glob('part-*')))} parts"
+    counts = ", ".join(f"{one['counts']} {one['values']}" for one in statuses)
+    return f"every row once; {counts}; {size / count / 1e3:.2f} kB a row in {len(list(out.glob('part-*')))} parts"
 
 
 def plot(samples: Sequence[Sample], path: Path) -> None:

@@ -1,10 +1,10 @@
-"""Cameras of which little is told: `python -m benchmarks.bench_cameras [--data DIR] [--draws 100] [--json FILE]`.
+"""Cameras of which little is given: `python -m benchmarks.bench_cameras [--data DIR] [--draws 100] [--json FILE]`.
 
 Four tables. Photographs of cars whose models no network has learnt from, with the measured camera, with the focal
 length to be found, and with a field of view of 60 degrees assumed (DIR has `posed_cars` and `hand_labels`; without
 --data the table is left out). Simulated pictures of one and of four cars, and of five pictures of two cars each that
 one camera took: how far the focal length is off, and how often its 95 % region holds it; and of their cars what each
-status is worth. Simulated roadside cameras, by what is told: places and the ground's tilt.
+status is worth. Simulated roadside cameras, by what is given: places and the ground's tilt.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _GROSS = 20.0  # degrees
 
 
 def cameras_of(car: PosedCar) -> dict[str, Camera]:
-    """What is told of a photograph's camera, by the name of the row; the principal point is the measured one."""
+    """What is given of a photograph's camera, by the name of the row; the principal point is the measured one."""
     width, height = car.size
     assumed = Camera.of_field_of_view(width, height).matrix.copy()
     assumed[:2, 2] = car.matrix[:2, 2]
@@ -68,7 +68,7 @@ def cameras_of(car: PosedCar) -> dict[str, Camera]:
 
 
 def photographs(data: Path, count: int) -> dict[str, list[tuple[float, float, bool]]]:
-    """By what is told: error of the rotation in degrees, of the focal length (share), and whether its region holds."""
+    """By what is given: error of the rotation in degrees, of the focal length (share), and whether its region holds."""
     apart = read_validation_ids(data / "hand_labels" / "validation_cad_ids.json")
     cars = [car for car in read_posed_cars(data / "posed_cars") if car.cad_id in apart]
     chosen = [cars[i] for i in np.linspace(0, len(cars) - 1, min(count, len(cars))).round().astype(int)]
@@ -208,11 +208,11 @@ def focal_table(found: dict[str, list[list[Focal]]]) -> str:
         "|---|---:|---:|---:|---:|",
     ]
     for name, draws in found.items():
-        told = [draw[0][:2] for draw in draws] if "one camera" in name else [one[:2] for draw in draws for one in draw]
+        pairs = [draw[0][:2] for draw in draws] if "one camera" in name else [one[:2] for draw in draws for one in draw]
         places = [off for draw in draws for _, _, some in draw for off, _, _ in some]
-        off, inside = (np.array(column) for column in zip(*told, strict=True))
+        off, inside = (np.array(column) for column in zip(*pairs, strict=True))
         numbers = f"{100 * np.median(off):.0f} | {100 * np.mean(inside):.0f} | {100 * np.median(places):.0f}"
-        lines.append(f"| {name} | {len(told)} | {numbers} |")
+        lines.append(f"| {name} | {len(pairs)} | {numbers} |")
     return "\n".join(lines)
 
 
@@ -253,7 +253,7 @@ ROADSIDE_ROWS: dict[str, Callable[[np.random.Generator], Roadside]] = {
     "the fleet": lambda rng: roadside_draw(rng, ground=None, fleet="kitti"),
     "height and fleet": lambda rng: roadside_draw(rng, ground=_HEIGHT, fleet="kitti"),
 }
-"""Draws by what is told; each begins with the same numbers, so all are the same pictures."""
+"""Draws by what is given; each begins with the same numbers, so all are the same pictures."""
 
 
 def roadside_table(found: dict[str, list[Roadside]]) -> str:

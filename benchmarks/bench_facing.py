@@ -1,8 +1,8 @@
 """Facing over time by a network that is often wrong: `python -m benchmarks.bench_facing DATA [--paths 84]`.
 
 Simulated keypoints over the paths that real cars took before KITTI's camera (DATA has `kitti_tracking/label_02`), whose
-motion is not told; the ground and the fleet are. Three of ten frames are missing, and three of ten of the others show
-the car turned round, points and directions: at random, or five of them in a row. Beside `fgrecon.Tracker` stands the
+motion is not given; the ground and the fleet are. Three of ten frames are missing, and three of ten of the others show
+the car flipped, points and directions: at random, or five of them in a row. Beside `fgrecon.Tracker` stands the
 majority of the frames so far, which is all that can be known of errors that have nothing to do with one another.
 """
 
@@ -64,7 +64,7 @@ def paths(folder: Path, wanted: int, rng: np.random.Generator) -> list[dict[int,
 
 
 def shown(vehicle: Vehicle, prior: ShapePrior, pose: Array, *, turned: bool, rng: np.random.Generator) -> Observation:
-    """What a network finds, with directions; turned round where it is so."""
+    """What a network finds, with directions; flipped where it is so."""
     seen, _ = simulate(vehicle, KITTI_CAMERA, pose, rng)
     directions = np.exp((np.cos(_BINS - view_azimuth(pose[:3, :3], pose[:3, 3])) - 1.0) / 0.1) + 0.02
     seen = replace(seen, azimuth=directions / directions.sum())
@@ -108,7 +108,7 @@ def follow(
 def table_row(name: str, found: Sequence[BoxOutcome], majority: Sequence[float] | None) -> str:
     """Of the Markdown table."""
     degrees, facing = np.array([one.degrees for one in found]), np.array([one.facing for one in found], dtype=float)
-    told = reliability(np.maximum(facing, 1.0 - facing), (degrees <= FLIPPED_DEGREES) == (facing > 0.5)).error
+    error = reliability(np.maximum(facing, 1.0 - facing), (degrees <= FLIPPED_DEGREES) == (facing > 0.5)).error
     most = "-" if majority is None else f"{100 * np.mean(majority):.1f}"
     held = []
     for quantity in ("position", "yaw"):
@@ -116,7 +116,7 @@ def table_row(name: str, found: Sequence[BoxOutcome], majority: Sequence[float] 
         judged = consistency(squared, DIMENSIONS[quantity], 1)
         held.append("-" if judged is None else f"{judged.inside:.0f}")
     within = 100 * np.mean(degrees <= _WITHIN)
-    return f"| {name} | {len(degrees)} | {within:.1f} | {most} | {told:.3f} | {' | '.join(held)} |"
+    return f"| {name} | {len(degrees)} | {within:.1f} | {most} | {error:.3f} | {' | '.join(held)} |"
 
 
 def main() -> int:

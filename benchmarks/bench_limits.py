@@ -47,17 +47,17 @@ def rows(frame: DriveFrame, name: str, setup: Setup, detector: NanodetVehicleDet
     image = read_image(frame.image)
     camera, rng = frame.calibration.camera.with_size_of(image), np.random.default_rng(frame.number)
     view = CHANGES[name](View(image, objects.box[labels], camera), rng)
-    told = replace(objects.take(labels), box=view.boxes)
+    labelled = replace(objects.take(labels), box=view.boxes)
     found = detector(view.image)
     boxes = Objects.detections(["Car"] * len(found), found.boxes, found.scores)
-    seen = match_detections(told, boxes, 0.5) >= 0
+    seen = match_detections(labelled, boxes, 0.5) >= 0
     offset = frame.calibration.label_offset
     for i, one in enumerate(reconstruct_boxes(view.image, view.camera, list(view.boxes), setup)):
         if one.result is None:
             yield float(seen[i]), FAILURE_DEGREES, np.inf
             continue
-        truth = GroundTruth(told.location[i], float(told.rotation_y[i]))
-        off = outcome(one.result, truth, told.size[i], offset)
+        truth = GroundTruth(labelled.location[i], float(labelled.rotation_y[i]))
+        off = outcome(one.result, truth, labelled.size[i], offset)
         yield float(seen[i]), off.degrees, off.metres
 
 

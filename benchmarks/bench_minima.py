@@ -4,7 +4,7 @@ Each problem is a simulated car, solved as `fgrecon.reconstruct` solves it, and 
 many starts: every yaw, tilts, depths from half to twice the box's, shapes from the prior, 20 iterations, none dropped.
 Missed is a minimum of the graph's energy that is lower by more than 0.5 nats, and whose pose is turned by more than 5
 degrees or moved by more than 0.2 m; energies are those at the visibility of the ends' own poses, since with that of
-another pose an end can look better than it is. By number of keypoints and what is told, for each strategy with an
+another pose an end can look better than it is. By number of keypoints and what is given, for each strategy with an
 energy; of all results, and of those that say `converged`. Goes on where it was with the same `--out`.
 """
 
@@ -45,7 +45,7 @@ from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.simulation import HARD, simulate_many
 
 POINTS = (14, 10, 7, 5)
-TOLD: dict[str, dict[str, Any]] = {
+GIVEN: dict[str, dict[str, Any]] = {
     "nothing": {},
     "ground": {"ground": 1.65},
     "ground and size": {"ground": 1.65, "size": "kitti"},
@@ -64,38 +64,40 @@ class Case:
 
     strategy: str
     points: int
-    told: str
+    given: str
     noise: str
 
     @property
     def name(self) -> str:
         """In words."""
-        return f"{self.strategy}, {self.points} points, {self.told} told, {self.noise}"
+        return f"{self.strategy}, {self.points} points, {self.given} given, {self.noise}"
 
 
 def cases(strategies: list[str]) -> list[Case]:
     """All kinds of problems."""
     return [
-        Case(strategy, points, told, noise)
+        Case(strategy, points, given, noise)
         for strategy in strategies
         for points in POINTS
-        for told in TOLD
+        for given in GIVEN
         for noise in ("hourglass", "hard")
     ]
 
 
 def problem(case: Case, number: int) -> Problem:
     """A random problem of a kind."""
-    rng = np.random.default_rng([number, POINTS.index(case.points), list(TOLD).index(case.told), case.noise == "hard"])
+    rng = np.random.default_rng(
+        [number, POINTS.index(case.points), list(GIVEN).index(case.given), case.noise == "hard"]
+    )
     prior = load_prior("car14")
     ((seen, _),) = simulate_many(prior, 1, rng, HARD if case.noise == "hard" else HOURGLASS)
     pixels = seen.keypoints.copy()
     pixels[rng.permutation(len(pixels))[case.points :]] = np.nan
     observation = Observation(pixels, np.where(np.isnan(pixels[:, 0]), 0.0, seen.confidence), seen.box)
-    told = TOLD[case.told]
+    given = GIVEN[case.given]
     options = Options(strategy=case.strategy, keep_history=False)
-    ground = None if "ground" not in told else fgrecon.Ground.level(told["ground"])
-    model = prepare(prior, size_prior(told["size"]) if "size" in told else None, None)
+    ground = None if "ground" not in given else fgrecon.Ground.level(given["ground"])
+    model = prepare(prior, size_prior(given["size"]) if "size" in given else None, None)
     seen, _ = observe(observation, KITTI_CAMERA, prior.category, options)
     return Problem.of(seen, KITTI_CAMERA, model, ground, options)
 
@@ -132,12 +134,12 @@ def missed(one: Problem, starts: int, rng: np.random.Generator) -> dict[str, Any
     estimate = search_pose(one)
     found = minimise_from_proposals([GraphObservation(one)], [estimate])
     (result,) = results([GraphObservation(one)], [estimate], found, {})
-    told = {"status": result.status.value}
+    outcome = {"status": result.status.value}
     if found.optimum.failure is not None:
-        return told
+        return outcome
     others = wide_search(one, starts, rng)
     if not others:
-        return told
+        return outcome
     ends = []
     for other in others:
         start = replace(
@@ -150,11 +152,11 @@ def missed(one: Problem, starts: int, rng: np.random.Generator) -> dict[str, Any
         ends.append(minimise_from_proposals([GraphObservation(one)], [start]))
     solved = [end for end in ends if end.optimum.failure is None]
     if not solved:
-        return told
+        return outcome
     wide = min(solved, key=lambda end: end.settled_energy)
     here, there = found.optimum.state.poses[0].matrix(), wide.optimum.state.poses[0].matrix()
     return {
-        **told,
+        **outcome,
         "lower": found.settled_energy - wide.settled_energy,
         "turned": turn_between(here, there),
         "moved": float(np.linalg.norm(here[:3, 3] - there[:3, 3])),

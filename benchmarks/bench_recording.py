@@ -3,7 +3,7 @@
 Run from the repository root, on one core:
     OMP_NUM_THREADS=1 python -m benchmarks.bench_recording
 Simulated cars with the mistakes of a real network; medians. A recording is made in the caller's thread, and encoded
-and written in others. CPU times are told for both, since other work on the machine disturbs wall time; the wall time of
+and written in others. CPU times are of both, since other work on the machine disturbs wall time; the wall time of
 several cars is that of `--save`. `rerun alone` encodes and writes the chunks of a finished recording once more, ready
 as they are, without a layout: the least that it takes. Recordings go to a temporary folder.
 """

@@ -31,8 +31,8 @@ from fgrecon_research.evaluation.measures import THRESHOLDS, orientation_precisi
 from fgrecon_research.evaluation.report import machine
 
 TABLES = Path(__file__).parent / "tables"
-TOLD = {"+size": ["--size-prior", "kitti"], "+ground+size": ["--size-prior", "kitti", "--camera-height", "1.65"]}
-"""What `fgrecon track` is told, by the name of the row."""
+GIVEN = {"+size": ["--size-prior", "kitti"], "+ground+size": ["--size-prior", "kitti", "--camera-height", "1.65"]}
+"""What `fgrecon track` is given, by the name of the row."""
 RATE = 10.0
 """Images of KITTI's drives in a second."""
 
@@ -87,8 +87,8 @@ def _without_times(file: Path) -> str:
 def together(data: Path, folder: Path) -> str:
     """The images of each track solved with one shape, beside the same images one by one."""
     rows = []
-    for name, told in TOLD.items():
-        for kind, errors in _from_images(data, folder, told).items():
+    for name, given in GIVEN.items():
+        for kind, errors in _from_images(data, folder, given).items():
             yaw, metres, size = np.mean(errors, axis=0)
             rows.append([f"{kind}, {name}", len(errors), f"{yaw:.2f}", f"{metres:.2f}", f"{100 * size:.0f}"])
     return table(["solved", "images", "mean yaw °", "mean position m", "mean of length, width, height cm"], rows)
@@ -97,9 +97,9 @@ def together(data: Path, folder: Path) -> str:
 def over_tracks(data: Path, folder: Path) -> str:
     """The same, and the images followed over time."""
     rows = []
-    for name, told in TOLD.items():
-        height = float(told[-1]) if "--camera-height" in told else None
-        for kind, errors in (_from_images(data, folder, told) | _over_time(data, height)).items():
+    for name, given in GIVEN.items():
+        height = float(given[-1]) if "--camera-height" in given else None
+        for kind, errors in (_from_images(data, folder, given) | _over_time(data, height)).items():
             yaw, metres, size = np.array(errors).T
             within = " / ".join(f"{100 * orientation_precision(yaw, threshold):.1f}" for threshold in THRESHOLDS)
             position = [f"{np.median(metres):.2f}", f"{metres.mean():.2f}"]
@@ -114,11 +114,11 @@ Errors = tuple[float, float, float]
 """Of yaw in degrees, of position and of size in metres."""
 
 
-def _from_images(data: Path, folder: Path, told: Sequence[str]) -> dict[str, list[Errors]]:
+def _from_images(data: Path, folder: Path, given: Sequence[str]) -> dict[str, list[Errors]]:
     """Errors of all images of the tracks, solved with one shape for each track and by themselves."""
     category = load_category("car14")
     truth = {frame.name: frame.truth for file in track_files(data) for frame in read_track(file, category).frames}
-    options = [*told, "--box-model", "cuboid"]
+    options = [*given, "--box-model", "cuboid"]
     joint = loaded(["track", *track_files(data), *options], folder)["instances"]
     alone = [car for f in track_files(data) for car in loaded(["reconstruct", f, *options], folder)["instances"]]
     return {

@@ -397,14 +397,14 @@ cdef class PointSource(Source):
     cdef readonly Points points
     cdef public int form
     cdef public double share, common
-    cdef bint told
+    cdef bint applied
     cdef Py_ssize_t[::1] patch
     cdef double[::1] right, wrong, sigma, weights
 
     def __init__(self, Points points, double share):
         """Bind the points."""
         cdef int M = points.count, N = points.coefficients
-        self.points, self.share, self.common, self.form, self.rows, self.told = points, share, 1.0, NEWTON, M, False
+        self.points, self.share, self.common, self.form, self.rows, self.applied = points, share, 1.0, NEWTON, M, False
         self.patch, self.right, self.wrong = np.zeros(M, dtype=np.intp), np.zeros(M), np.ones(M)
         self.sigma, self.weights = np.ones(M), np.zeros(M)
         self.take([(12, 6, True), (N, N, True)] + ([] if points.shared == NONE else [(2, 2, True)]))
@@ -417,7 +417,7 @@ cdef class PointSource(Source):
         if not patch.shape[0] == right.shape[0] == wrong.shape[0] == sigma.shape[0] == w.shape[0] == self.rows:
             raise ValueError("patches, densities, deviations and weights (M,) are expected")
         self.patch[:], self.right[:], self.wrong[:], self.sigma[:], self.weights[:] = patch, right, wrong, sigma, w
-        self.told = True
+        self.applied = True
 
     cdef double fill(self, const double **at, double *r, double *J) noexcept nogil:
         cdef const double *R = at[0]
@@ -429,10 +429,10 @@ cdef class PointSource(Source):
         cdef double size[3]
         cdef double sensor[3]
         cdef double d, s, inlier, weight, loss, rest, stretch, bend, energy = 0.0, root = sqrt(self.share)
-        if not self.told:
+        if not self.applied:
             self.points.prepare(R, t, x, size, sensor)
         for i in range(self.rows):
-            if self.told:
+            if self.applied:
                 self.points.place(i, R, t, shared, local)
             else:
                 self.patch[i] = self.points.match_one(
@@ -443,7 +443,7 @@ cdef class PointSource(Source):
             s = d * d
             inlier = self.right[i] * exp(-0.5 * s)
             weight = inlier / (inlier + self.wrong[i])
-            if not self.told:
+            if not self.applied:
                 self.weights[i] = weight
             loss = log((self.right[i] + self.wrong[i]) / (inlier + self.wrong[i]))
             if self.form == WEIGHTED:
@@ -459,5 +459,5 @@ cdef class PointSource(Source):
             r[i] = root * stretch * d
             if J != NULL and bend != 0.0:
                 self.points.row(i, k, R, local, shared, bend * root / self.sigma[i], J + i * self.columns)
-        self.told = True
+        self.applied = True
         return NAN if self.form == WEIGHTED else self.share * energy

@@ -1,7 +1,7 @@
 """Damage files and read them: `python -m benchmarks.fuzz --minutes N [--reader NAME] [--guided] [--commands [NAME]]`.
 
 Goes on where the last run with the same --out ended. What a reader raises that fgrecon does not raise on purpose is
-kept there as a file and printed; exit code 1 says that there was something. Slow files are told as well. With --guided
+kept there as a file and printed; exit code 1 says that there was something. Slow files are printed too. With --guided
 coverage leads the way (atheris, extra `fuzzing`), and the minutes are those of the clock. With --commands it is whole
 commands that read the files, each in a process of its own.
 """
@@ -60,8 +60,8 @@ def main() -> int:
         spent = float(before.get(key, {}).get("cpu_minutes", 0.0)) + ended.seconds / 60.0
         before[key] = {"files": start + ended.files, "cpu_minutes": round(spent, 2)}
         write_text(progress, json.dumps(before, indent=1))
-        told = f"{before[key]['files']} files in {spent:.1f} CPU minutes, {len(ended.finds)} new finds"
-        print(f"{key}: {told}, slowest {ended.slowest:.2f} s", flush=True)
+        counts = f"{before[key]['files']} files in {spent:.1f} CPU minutes, {len(ended.finds)} new finds"
+        print(f"{key}: {counts}, slowest {ended.slowest:.2f} s", flush=True)
     _print(found)
     return int(bool(found))
 

@@ -29,7 +29,7 @@ __all__ = ["guided", "why_not"]
 
 _SLOW = 20  # seconds for one file: a find
 _MEMORY = 4096  # MiB of the whole process
-_TOLD = 2.0  # seconds between two notes of how far it has come
+_NOTE_SECONDS = 2.0  # seconds between two notes of how far it has come
 _GRACE = 120.0  # seconds beside the run itself: imports, instrumentation
 
 
@@ -55,12 +55,12 @@ def guided(name: str, seconds: float, out: Path) -> Ended:
     command = [sys.executable, "-m", "benchmarks.fuzz.guided", name, str(int(seconds)), str(out.resolve())]
     with (folder / "log.txt").open("wb") as log:
         code = subprocess.run(command, stdout=log, stderr=log, timeout=seconds + _GRACE, check=False).returncode
-    told = json.loads(_notes(folder).read_text()) if _notes(folder).exists() else {}
-    finds = [Find(one["reader"], one["error"], one["place"], Path(one["file"])) for one in told.pop("finds", [])]
+    notes = json.loads(_notes(folder).read_text()) if _notes(folder).exists() else {}
+    finds = [Find(one["reader"], one["error"], one["place"], Path(one["file"])) for one in notes.pop("finds", [])]
     if code != 0:  # what no exception says: a crash, a time-out, too much memory
         left = max(folder.glob("*-*"), key=lambda path: path.stat().st_mtime, default=folder / "log.txt")
         finds.append(Find(name, f"the process ended with code {code}", "libFuzzer", left))
-    return Ended(**told, finds=finds)
+    return Ended(**notes, finds=finds)
 
 
 def _notes(folder: Path) -> Path:
@@ -92,7 +92,7 @@ class _Harness:
         """Read one input."""
         title, _ = self._seeds[(data[0] if data else 0) % len(self._seeds)]
         self._judge(self._name, self._place / title, bytes(data[1:]), self.ended, self._out)
-        if time.perf_counter() - self._noted > _TOLD:
+        if time.perf_counter() - self._noted > _NOTE_SECONDS:
             self.note()
 
     def note(self) -> None:
@@ -128,10 +128,10 @@ def _child(name: str, seconds: int, out: Path) -> None:
         (corpus / f"seed-{number}").write_bytes(seed)
     warnings.simplefilter("ignore")
     largest = max(len(seed) for seed in harness.seeds())
-    told = [f"-max_total_time={seconds}", f"-timeout={_SLOW}", f"-rss_limit_mb={_MEMORY}"]
-    told += [f"-max_len={max(4096, 2 * largest)}", f"-artifact_prefix={harness.folder}/"]
+    flags = [f"-max_total_time={seconds}", f"-timeout={_SLOW}", f"-rss_limit_mb={_MEMORY}"]
+    flags += [f"-max_len={max(4096, 2 * largest)}", f"-artifact_prefix={harness.folder}/"]
     harness.note()
-    atheris.Setup([sys.argv[0], *told, str(corpus)], harness.one, custom_mutator=_mutator)
+    atheris.Setup([sys.argv[0], *flags, str(corpus)], harness.one, custom_mutator=_mutator)
     atheris.Fuzz()
 
 

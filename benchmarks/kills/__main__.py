@@ -130,8 +130,8 @@ def main() -> int:
         tally = tallies[name]
         _killed(name, given.trials, tally)
         write_text(path, json.dumps({key: asdict(one) for key, one in tallies.items()}, indent=1))
-        told = f"{tally.trials} trials, {tally.kills} kills, {len(tally.faults)} faults"
-        print(f"{name}: {told}; undisturbed {tally.seconds:.1f} s", flush=True)
+        counts = f"{tally.trials} trials, {tally.kills} kills, {len(tally.faults)} faults"
+        print(f"{name}: {counts}; undisturbed {tally.seconds:.1f} s", flush=True)
         print(*tally.faults, sep="\n", end="\n" if tally.faults else "")
     return int(any(tally.faults for tally in tallies.values()))
 

@@ -1,4 +1,4 @@
-"""What is killed: a command with its work in small parts, so that many of its moments are told apart.
+"""What is killed: a command with its work in small parts, so that many of its moments are distinct.
 
     python -m benchmarks.kills.child MARK batch|run|train ARGUMENT...
 

@@ -62,9 +62,9 @@ def _photographs(folder: Path) -> None:
 
 
 def _training(_: Path, out: Path) -> list[str]:
-    told = ["--work", str(out / "work"), "--out", str(out / "w.safetensors"), "--steps", "6", "--batch", "2"]
+    arguments = ["--work", str(out / "work"), "--out", str(out / "w.safetensors"), "--steps", "6", "--batch", "2"]
     out.mkdir(exist_ok=True)
-    return ["train", *told, "--relabel-at", "2,4", "--workers", "0", "--refine-steps", "4"]
+    return ["train", *arguments, "--relabel-at", "2,4", "--workers", "0", "--refine-steps", "4"]
 
 
 JOBS: Mapping[str, Job] = {

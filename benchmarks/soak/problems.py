@@ -56,7 +56,7 @@ def random_observation(rng: np.random.Generator, camera: fgrecon.Camera) -> Obse
 
 
 def video(
-    rng: np.random.Generator, camera: fgrecon.Camera, told: dict[str, Any]
+    rng: np.random.Generator, camera: fgrecon.Camera, given: dict[str, Any]
 ) -> tuple[int, Callable[[], Sequence[Reconstruction]]]:
     """How many sightings there are, and what follows them: vehicles that come and go, a camera that jumps about."""
     frames: list[dict[str, Any]] = []
@@ -70,12 +70,12 @@ def video(
             root = rng.normal(size=(6, 6)) * np.repeat(10 ** rng.uniform(-6, 1, 2), 3)[:, None]
             frame |= {"world_T_camera": place, "motion_covariance": root @ root.T}
         frames.append(frame)
-    settings = {name: told.get(name) for name in ("size_prior", "options")}
+    settings = {name: given.get(name) for name in ("size_prior", "options")}
     shared = rng.random() < 0.5
 
     def follow() -> list[Reconstruction]:
         tracker = fgrecon.Tracker(**settings, shared_ground=shared)
-        online = [tracker.update(camera=camera, ground=told.get("ground"), **frame).values() for frame in frames]
+        online = [tracker.update(camera=camera, ground=given.get("ground"), **frame).values() for frame in frames]
         smoothed = tracker.smooth().values()
         return [one.reconstruction for some in (*online, *smoothed) for one in some]
 
@@ -89,28 +89,28 @@ def problem(seed: Sequence[int]) -> tuple[str, int, Callable[[], Sequence[Recons
     number = seed[-1]
     traffic = ("right", "left", None, None)[number // 3 % 4]
     options = fgrecon.Options(keep_history=False, box=("surface", "cuboid", "off")[number % 3], traffic=traffic)
-    told: dict[str, Any] = {"options": options}
+    given: dict[str, Any] = {"options": options}
     if rng.random() < 0.5:
-        told["ground"] = float(10 ** rng.uniform(-2, 2))
+        given["ground"] = float(10 ** rng.uniform(-2, 2))
     if rng.random() < 0.5:
-        told["size_prior"] = "kitti"
+        given["size_prior"] = "kitti"
     kind = ("car", "car", "car", "scene", "track")[int(rng.integers(5))]
     if number % 25 == 5:  # of which one in four is solved twice
-        return "video", *video(rng, camera, told)
+        return "video", *video(rng, camera, given)
     count = 1 if kind == "car" else int(rng.integers(1, 7))
     seen = [random_observation(rng, camera) for _ in range(count)]
     if kind == "car":
         if number % 20 == 7:
-            told["options"] = replace(
+            given["options"] = replace(
                 options, strategy=fgrecon.RobustStrategy(_STRATEGIES[number // 20 % len(_STRATEGIES)])
             )
-        return kind, count, lambda: [fgrecon.reconstruct(seen[0], camera, **told)]
+        return kind, count, lambda: [fgrecon.reconstruct(seen[0], camera, **given)]
     if kind == "scene":
         if rng.random() < 0.3 and camera.distortion is None:
             camera = fgrecon.Camera(camera.matrix, focal_sigma=0.5)
-        return kind, count, lambda: fgrecon.reconstruct_scene(seen, camera, **told).vehicles
+        return kind, count, lambda: fgrecon.reconstruct_scene(seen, camera, **given).vehicles
     gaps = [None if rng.random() < 0.3 else one for one in seen]
-    return kind, count, lambda: fgrecon.reconstruct_track(gaps, camera, **told).frames
+    return kind, count, lambda: fgrecon.reconstruct_track(gaps, camera, **given).frames
 
 
 def faults(results: Sequence[Reconstruction]) -> list[str]:

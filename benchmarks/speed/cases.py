@@ -29,7 +29,7 @@ SIZE = "kitti"
 
 @dataclass(frozen=True)
 class Case:
-    """One car in one image, told the ground and the fleet's size.
+    """One car in one image, given the ground and the fleet's size.
 
     Attributes:
         observation: Its keypoints and box.

@@ -79,9 +79,9 @@ class SideBySide:
     def command(self, *more: str, frames: Path | None = None) -> list[str]:
         """Arguments of `fgrecon run` that all runs have, and some more."""
         images = self.drive if frames is None else frames
-        told = ("--camera-height", str(GROUND_HEIGHT), "--size-prior", SIZE)
+        arguments = ("--camera-height", str(GROUND_HEIGHT), "--size-prior", SIZE)
         calibration = ("--calib", str(self.drive.parent / "calib.txt"))
-        return ["run", str(images), "--fps", str(FPS), *calibration, *told, "--quiet", *more]
+        return ["run", str(images), "--fps", str(FPS), *calibration, *arguments, "--quiet", *more]
 
     def run(self, build: Build, *more: str) -> Numbers:
         """The whole command, its start included."""
@@ -205,8 +205,8 @@ class SideBySide:
         def measure(build: Build) -> Numbers:
             out = self.folder / "out"
             shutil.rmtree(out, ignore_errors=True)
-            told = [*BATCH, "--quiet", "--jobs", "2", "--out", str(out)]
-            used = timed(build, ["-m", "fgrecon", "batch", *map(str, files), *told], self.folder)
+            arguments = [*BATCH, "--quiet", "--jobs", "2", "--out", str(out)]
+            used = timed(build, ["-m", "fgrecon", "batch", *map(str, files), *arguments], self.folder)
             return {"cars a second": self.cars / used["wall, s"], "CPU, ms a car": 1e3 * used["CPU, s"] / self.cars}
 
         table = Table(f"`fgrecon batch --jobs 2`, {self.cars} cars of keypoints, start included", COLUMNS)

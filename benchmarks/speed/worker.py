@@ -141,9 +141,9 @@ def answer_scene(indices: list[int]) -> dict[str, Any]:
     seen = [
         Observation(*(np.array(CASES[i][k], dtype=float) for k in ("keypoints", "confidence", "box"))) for i in indices
     ]
-    told = {"prior": prior(first["prior"]), "ground": first["ground"], "size_prior": first["size"]}
+    given = {"prior": prior(first["prior"]), "ground": first["ground"], "size_prior": first["size"]}
     camera = Camera(np.array(first["camera"]))
-    _, cpu, wall = clocked(lambda: reconstruct_scene(seen, camera, options=options(first), **told))
+    _, cpu, wall = clocked(lambda: reconstruct_scene(seen, camera, options=options(first), **given))
     return {"cpu": cpu, "wall": wall}
 
 
@@ -153,7 +153,7 @@ def answer_frames(file: str) -> dict[str, list[float]]:
 
     content = json.loads(Path(file).read_text(encoding="utf-8"))
     tracker = Tracker(size_prior=content["size"], options=fgrecon.Options(keep_history=False))
-    told = {"camera": Camera(np.array(content["camera"])), "ground": content["ground"]}
+    given = {"camera": Camera(np.array(content["camera"])), "ground": content["ground"]}
     taken = []
     for frame in content["frames"]:
         pose = None if frame["world_T_camera"] is None else np.array(frame["world_T_camera"])
@@ -161,7 +161,7 @@ def answer_frames(file: str) -> dict[str, list[float]]:
             int(identity): Observation(**{k: np.array(v) if isinstance(v, list) else v for k, v in one.items()})
             for identity, one in frame["vehicles"].items()
         }
-        _, cpu, _ = clocked(partial(tracker.update, frame["time"], seen, world_T_camera=pose, **told))
+        _, cpu, _ = clocked(partial(tracker.update, frame["time"], seen, world_T_camera=pose, **given))
         if seen:
             taken.append(cpu / len(seen))
     return {"cpu": taken}

@@ -51,13 +51,13 @@ class LabelPage(MainPage):
     def _refresh(self) -> None:
         """The images in order, and how far the graph has come with them."""
         folder = self._folder
-        told = {}
+        labels = {}
         for name in folder.order:
             judged = folder.judged.get(name)
             words = "righted" if name in folder.righted else judged.words if judged is not None else "not looked at"
-            told[name] = f"{name}: {words}"
-        if told != self._image.options:
-            self._image.set_options(told, value=self._shown or None)
+            labels[name] = f"{name}: {words}"
+        if labels != self._image.options:
+            self._image.set_options(labels, value=self._shown or None)
         images = counted(len(folder.images), "image")
         self._progress.text = f"{images}, {len(folder.judged)} looked at, {len(folder.righted)} righted."
 

@@ -48,14 +48,14 @@ def chart_of(car: FollowedCar) -> dict[str, Any]:
 
 def in_words(car: FollowedCar, moment: CarMoment) -> str:
     """A car at a moment, in a sentence."""
-    told = {name: _told(*band) for name, band in moment.bands.items()}
-    size = " x ".join(told[name] for name in _SIZES)
-    words = f"Car {car.name} at {moment.time:.2f} s: heading {told['heading']}°, speed {told['speed']} km/h, {size} m"
+    bands = {name: _band_text(*band) for name, band in moment.bands.items()}
+    size = " x ".join(bands[name] for name in _SIZES)
+    words = f"Car {car.name} at {moment.time:.2f} s: heading {bands['heading']}°, speed {bands['speed']} km/h, {size} m"
     others = "; ".join(f"heading {heading:.0f}° with probability {share:.2f}" for heading, share in moment.others)
     return f"{words}. Other poses: {others or 'none'}."
 
 
-def _told(value: float | None, low: float | None, high: float | None) -> str:
+def _band_text(value: float | None, low: float | None, high: float | None) -> str:
     if value is None:
         return "unknown"
     return f"{value:.1f}" if low is None or high is None else f"{value:.1f} ({low:.1f} to {high:.1f})"

@@ -94,14 +94,14 @@ class VideoPanel:
         self._column.clear()
         with self._column, ui.card().classes("w-full"):
             ahead = f"{waiting + 1} before it" if (waiting := self._workers.waiting) else "begins"
-            told = ui.label(f"{name}: {ahead} ...").props("role=status aria-live=polite")
+            status = ui.label(f"{name}: {ahead} ...").props("role=status aria-live=polite")
             bar = ui.linear_progress(0.0, show_value=False).props("aria-label='Progress of the video'")
             ui.button("Stop", icon="stop", on_click=lambda: stop(folder)).props("outline")
 
             def poll() -> None:
                 progress = progress_of(folder)
                 if progress is not None:
-                    told.text = f"{name}: {progress}"
+                    status.text = f"{name}: {progress}"
                     bar.value = progress.done / progress.total if progress.total else 0.0
 
             self._timer = ui.timer(_POLL, poll)

@@ -103,7 +103,7 @@ class _Teller:
 
     def __init__(self, out: Path) -> None:
         self._out, self._step = out, ""
-        self._begun = self._told = 0.0
+        self._begun = self._reported = 0.0
 
     def __call__(self, step: str, done: int, total: int | None) -> None:
         now = time.monotonic()
@@ -111,12 +111,12 @@ class _Teller:
             raise FgreconError("Nobody waits for it.")
         if step != self._step:
             self._step, self._begun = step, now
-        elif now - self._told < _SOONEST:
+        elif now - self._reported < _SOONEST:
             return
-        self._told = now
+        self._reported = now
         rate = done / (now - self._begun) if now > self._begun else 0.0
-        told = {"step": step, "done": done, "total": total, "rate": rate}
-        write_text(self._out / _PROGRESS, json.dumps(told))
+        progress = {"step": step, "done": done, "total": total, "rate": rate}
+        write_text(self._out / _PROGRESS, json.dumps(progress))
 
 
 def track_upload(folder: Path, name: str, out: Path, requested: PageRequested) -> VideoView:

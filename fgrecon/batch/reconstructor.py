@@ -191,7 +191,7 @@ class Reconstructor:
         """The row of one vehicle."""
         from fgrecon.solve.pipeline import reconstruct  # on use: whoever hands out the work needs no solver
 
-        doubt: InputWarning | None = None
+        warning: InputWarning | None = None
         try:
             if self._classes is not None:
                 check_of_file(self._classes)
@@ -202,7 +202,7 @@ class Reconstructor:
             if camera.image_size is None:
                 camera = replace(camera, image_size=instance.image_size)
             seen = instance.observation
-            doubt = input_warning_of(seen, camera)
+            warning = input_warning_of(seen, camera)
             result = reconstruct(
                 seen,
                 camera,
@@ -213,9 +213,9 @@ class Reconstructor:
                 options=self._options,
             )
         except Exception as error:  # noqa: BLE001 - one bad vehicle must not take the others of its row along
-            return failed_row(origin, error, vehicle, name) | given_of(instance) | {"doubt": doubt}
-        doubt = doubt or result_warning_of(seen, result)
-        return solved_row(origin, vehicle, name, result, camera) | given_of(instance) | {"doubt": doubt}
+            return failed_row(origin, error, vehicle, name) | given_of(instance) | {"input_warning": warning}
+        warning = warning or result_warning_of(seen, result)
+        return solved_row(origin, vehicle, name, result, camera) | given_of(instance) | {"input_warning": warning}
 
     def _image(self, task: Mapping[str, Any], origin: Row) -> Iterator[Row]:
         """A row for each vehicle of an image; they are solved together, as by `fgrecon.reconstruct_image`."""
@@ -239,7 +239,7 @@ class Reconstructor:
         outcomes, _ = solve_tasks(tasks, settings, together=self._options.shape.joint)
         for vehicle, one in enumerate(outcomes):
             name = id_in_image(origin["row_id"], vehicle)
-            given = given_of(one.task.instance) | {"doubt": camera_warning_of(camera)}
+            given = given_of(one.task.instance) | {"input_warning": camera_warning_of(camera)}
             if one.result is None:
                 assert one.error is not None
                 yield failed_row(origin, one.error, vehicle, name) | given | origin

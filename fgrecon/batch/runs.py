@@ -37,7 +37,7 @@ class Tally:
         statuses: Rows of results by status, those that were done before included; an image gives one for each vehicle.
         errors: Those with an error, by its class and the field that it names.
         words: Of each of these errors what the first row says, which has the fix.
-        doubts: What is doubtful of the keypoints of this run's rows.
+        input_warnings: Warnings of the keypoints of this run's rows.
         left_out: Vehicles and images of which something was not used, of this run's rows, with what.
         box_excesses: By how much 2D boxes are larger than their vehicles look, of this run's rows that tell.
     """
@@ -49,7 +49,7 @@ class Tally:
     statuses: Counter[str] = field(default_factory=Counter)
     errors: Counter[str] = field(default_factory=Counter)
     words: dict[str, str] = field(default_factory=dict)
-    doubts: InputWarnings = field(default_factory=InputWarnings)
+    input_warnings: InputWarnings = field(default_factory=InputWarnings)
     left_out: list[str] = field(default_factory=list)
     box_excesses: array[float] = field(default_factory=lambda: array("d"))
 
@@ -59,10 +59,10 @@ class Tally:
         self._count(
             map(RowOutcome._make, zip(*(table.column(name).to_pylist() for name in RowOutcome._fields), strict=True))
         )
-        self.doubts.judged += pc.count(table.column("camera_T_object")).as_py()
-        for name, doubt in zip(*(table.column(name).to_pylist() for name in ("id", "doubt")), strict=True):
-            if doubt is not None:
-                self.doubts.add(name or "", InputWarning(doubt))
+        self.input_warnings.judged += pc.count(table.column("camera_T_object")).as_py()
+        for name, warning in zip(*(table.column(name).to_pylist() for name in ("id", "input_warning")), strict=True):
+            if warning is not None:
+                self.input_warnings.add(name or "", InputWarning(warning))
         columns = (table.column(name).to_pylist() for name in ("id", "row_id", "left_out"))
         for name, row, left_out in zip(*columns, strict=True):
             self.left_out += [f"{name or row}: {left_out[0]}"] if left_out else []

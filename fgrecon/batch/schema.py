@@ -57,7 +57,7 @@ def result_schema() -> Any:
         ("box", _NUMBERS),
         ("score", _NUMBER),
         ("box_excess", _NUMBER),
-        ("doubt", _TEXT),
+        ("input_warning", _TEXT),
         ("left_out", pa.list_(_TEXT)),
         ("focal_sigma", _NUMBER),
         ("milliseconds", _NUMBER),

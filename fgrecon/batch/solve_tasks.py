@@ -222,12 +222,12 @@ def with_closest(outcomes: Sequence[Outcome], models: Sequence[VehicleMesh]) -> 
 
 def fit_warnings(outcomes: Iterable[Outcome]) -> list[str]:
     """What to warn of once vehicles are solved: of most of them hardly a keypoint fits, or sides are exchanged."""
-    doubts = InputWarnings()
+    warnings = InputWarnings()
     for outcome in outcomes:
         seen = outcome.task.usable_observation
         if outcome.result is not None and seen is not None:
-            doubts.add_result(outcome.name, seen, outcome.result)
-    return doubts.lines()
+            warnings.add_result(outcome.name, seen, outcome.result)
+    return warnings.lines()
 
 
 def left_out_lines(outcomes: Iterable[Outcome]) -> list[str]:

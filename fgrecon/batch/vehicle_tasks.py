@@ -158,11 +158,11 @@ def with_classes(tasks: list[VehicleTask], classes: ClassSource | None) -> list[
     if classes is None:
         return tasks
     check_of_file(classes)
-    told = [replace(one, instance=one.instance.classed) for one in tasks]
-    if all(one.instance.vehicle_class is None for one in told):
+    classed = [replace(one, instance=one.instance.classed) for one in tasks]
+    if all(one.instance.vehicle_class is None for one in classed):
         fix = "Give vehicles a `kind`, such as car, van, Truck or bus; or leave it out."
         raise InvalidInputError("classes", f"{classes.value}, which no vehicle has", fix)
-    return told
+    return classed
 
 
 def check_of_file(classes: ClassSource | None) -> None:
@@ -285,10 +285,10 @@ def input_warnings(tasks: Iterable[VehicleTask], *, detected: bool = False) -> l
     Args:
         detected: Whether the keypoints are those that the networks detect, which leaves the camera.
     """
-    doubts = InputWarnings()
+    warnings = InputWarnings()
     for task in tasks:
         if detected:
-            doubts.add(task.instance.name, camera_warning_of(task.camera))
+            warnings.add(task.instance.name, camera_warning_of(task.camera))
         elif (seen := task.usable_observation) is not None:
-            doubts.add(task.instance.name, input_warning_of(seen, task.camera))
-    return doubts.lines()
+            warnings.add(task.instance.name, input_warning_of(seen, task.camera))
+    return warnings.lines()

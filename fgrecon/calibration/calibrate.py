@@ -23,7 +23,7 @@ class CalibratedDetector:
     """A calibration and what it was fitted on.
 
     Attributes:
-        calibration: What is written; its provenance has the doubts.
+        calibration: What is written; its provenance has the warnings.
         scored: The drives, reconstructed as the network says its errors.
         fitted: What was fitted of the network, and how it holds without a drive; None where that could not be.
     """
@@ -53,7 +53,7 @@ def calibrate_detector(
     Args:
         request: The labelled drives; boxes are fitted where they are detected.
         size_prior: Name of the given fleet, for the provenance.
-        warn: Called with everything that could not be fitted, or is doubtful.
+        warn: Called with everything that could not be fitted, or may be wrong.
         scored: Called with each factor of the covariances and the drives scored with it.
 
     Raises:
@@ -93,7 +93,7 @@ def calibrate_detector(
         warn_and_keep(_left_out(_NUMBERS, error))
     for line in () if fitted is None else fitted.warnings:
         warn_and_keep(line)
-    whole = {**calibration.provenance, "doubts": kept}
+    whole = {**calibration.provenance, "warnings": kept}
     return CalibratedDetector(replace(calibration, boxes=source, provenance=whole), done, fitted)
 
 

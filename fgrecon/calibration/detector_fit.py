@@ -101,7 +101,7 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
     inside, error = _holding_elsewhere(scored)
     warnings = (*_end_of_factors(factor, curves), *_facing_warnings(facing, flipped), *_not_holding(inside))
     shares = {name: {f"{p:g}": share for p, share in some.items() if share >= 0.0} for name, some in inside.items()}
-    about = {"vehicles": _solved(boxes), "flipped": flipped, "inside": shares, "doubts": list(warnings)}
+    about = {"vehicles": _solved(boxes), "flipped": flipped, "inside": shares, "warnings": list(warnings)}
     calibration = DetectorCalibration(factor, *facing, {**provenance, **about})
     return FittedDetector(calibration, inside, error, warnings, flipped)
 

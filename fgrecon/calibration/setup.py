@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CalibrationSettings:
-    """What a detector is fitted by, and when a fit is doubtful. Where nothing else is said, not tuned."""
+    """What a detector is fitted by, and when a fit is warned of. Where nothing else is said, not tuned."""
 
     common_factors: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # that are tried
     fewest_vehicles: int = 30  # that regions, or the edges of boxes, are judged by
@@ -41,7 +41,7 @@ SETTINGS = CalibrationSettings()
 
 @dataclass(frozen=True)
 class SceneKnowledge:
-    """What the user knows; each method is told the part that its name says."""
+    """What the user knows; each method is given the part that its name says."""
 
     prior: ShapePrior  # shape prior of the category
     ground: Ground  # ground plane in the camera's frame

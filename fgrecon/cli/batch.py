@@ -124,7 +124,7 @@ def _report(tally: Tally, out: Path, screen: Screen, table_file: Path | None) ->
     screen.print(table, f"{tally.done} of {counted(tally.total, 'row')} {verb} done, {tally.before} of them before.")
     if (off := boxes_off(tally.box_excesses)) is not None:
         screen.warn(boxes_warning(off))
-    for line in tally.doubts.lines():
+    for line in tally.input_warnings.lines():
         screen.warn(line)
     if tally.left_out:
         of = counted(len(tally.left_out), "row")

@@ -31,7 +31,7 @@ def calibrate_command(
     outlines, by the cars that are visible as a whole.
 
     What the drives are too few for is left at its default, and the rest is written. A value at an end of what was
-    tried, or that does not hold on drives left out, is warned of; the file has it under provenance (inside, doubts).
+    tried, or that does not hold on drives left out, is warned of; the file has it under provenance (inside, warnings).
     """
     from fgrecon.calibration.calibrate import calibrate_detector
     from fgrecon.calibration.labelled_boxes import SYSTEM, box_coverage

@@ -23,7 +23,7 @@ class BoxSource:
     upper: float = number(BoxOptions().upper, least=-0.5, most=0.5)
     right: float = number(BoxOptions().right, least=-0.5, most=0.5)  # the right edge, as the left one
     lower: float = number(BoxOptions().lower, least=-0.5, most=0.5)  # the lower edge, as the upper one
-    # how far edges vary about that (1 sigma), as a fraction of the longer side. It is told and changes nothing:
+    # how far edges vary about that (1 sigma), as a fraction of the longer side. It is written and changes nothing:
     # boxes count by `BoxOptions.sigma_relative`
     spread: float = number(0.035, least=0.0, most=1.0)
 
@@ -67,11 +67,11 @@ class DetectorCalibration:
     @property
     def numbers(self) -> dict[str, float]:
         """The settings by name."""
-        told = ("provenance", "boxes")
-        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in told}
+        apart = ("provenance", "boxes")
+        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in apart}
 
     def applied(self, options: Options) -> Options:
         """The options with these settings instead of their own; the default common factor counts as not fitted."""
-        told = options if self.boxes is None else self.boxes.applied(options)
+        changed = options if self.boxes is None else self.boxes.applied(options)
         fitted = self.common_factor != _DEFAULT.common_factor
-        return replace(told, keypoints=replace(told.keypoints, **self.numbers, fitted=fitted))
+        return replace(changed, keypoints=replace(changed.keypoints, **self.numbers, fitted=fitted))

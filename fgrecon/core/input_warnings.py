@@ -56,7 +56,7 @@ _Array = NDArray[np.float64]
 
 
 class InputWarning(StrEnum):
-    """What is doubtful of a vehicle's keypoints and of its camera."""
+    """What must be wrong with a vehicle's keypoints or its camera."""
 
     UNITS = "units"
     """All lie between 0 and 1."""
@@ -112,35 +112,35 @@ REASONS = {
     InputWarning.FAR: f"it is more than {FARTHEST:g} m away",
     InputWarning.AIR: "it is high up in the air, or leans by tens of degrees against the camera",
 }
-"""Of what is doubtful of a camera: the clauses of results that are weak by it."""
+"""Of warnings of a camera: the clauses of results that are weak by it."""
 
 _BEFORE = frozenset(InputWarning) - {InputWarning.MIRRORED, InputWarning.FAR, InputWarning.AIR, InputWarning.FIT}
-"""What is doubtful before a vehicle is solved, whose fit then says nothing more."""
+"""What is warned of before a vehicle is solved, whose fit then says nothing more."""
 
 _SUMMED_UP: ContextVar[bool] = ContextVar("summed_up", default=False)
 
 
 @dataclass
 class InputWarnings:
-    """What is doubtful of any number of vehicles; keeps the first names and counts."""
+    """The warnings of any number of vehicles; keeps the first names and counts."""
 
     judged: int = 0  # vehicles with a result
-    counts: Counter[InputWarning] = field(default_factory=Counter)  # vehicles by what is doubtful
+    counts: Counter[InputWarning] = field(default_factory=Counter)  # vehicles by their warning
     names: dict[InputWarning, list[str]] = field(default_factory=dict)  # the first of these
 
     @classmethod
     def of(cls, found: Mapping[str, InputWarning | None]) -> InputWarnings:
         """What was found of vehicles before they are solved, by their names."""
-        doubts = cls()
-        for name, doubt in found.items():
-            doubts.add(name, doubt)
-        return doubts
+        warnings = cls()
+        for name, warning in found.items():
+            warnings.add(name, warning)
+        return warnings
 
-    def add(self, name: str, doubt: InputWarning | None) -> None:
+    def add(self, name: str, warning: InputWarning | None) -> None:
         """Count a vehicle."""
-        if doubt is not None:
-            self.counts[doubt] += 1
-            first = self.names.setdefault(doubt, [])
+        if warning is not None:
+            self.counts[warning] += 1
+            first = self.names.setdefault(warning, [])
             if len(first) < _NAMED:
                 first.append(name)
 
@@ -150,22 +150,24 @@ class InputWarnings:
         self.add(name, result_warning_of(observed, result))
 
     def lines(self) -> list[str]:
-        """What to warn of; of results where nothing else is doubtful, and if it is that of most vehicles."""
+        """What to warn of; of results where nothing else is wrong, and if it is that of most vehicles."""
         if not self.counts:
             return []
-        shown = [doubt for doubt in InputWarning if self.counts[doubt] and doubt in _BEFORE]
+        shown = [warning for warning in InputWarning if self.counts[warning] and warning in _BEFORE]
         if not shown:
-            shown = [doubt for doubt in InputWarning if 2 * self.counts[doubt] > self.judged and doubt not in _BEFORE]
-        return [_SENTENCES[doubt.value].format(self._named(doubt)) for doubt in shown]
+            shown = [
+                warning for warning in InputWarning if 2 * self.counts[warning] > self.judged and warning not in _BEFORE
+            ]
+        return [_SENTENCES[warning.value].format(self._named(warning)) for warning in shown]
 
-    def _named(self, doubt: InputWarning) -> str:
-        more = self.counts[doubt] - len(self.names[doubt])
-        return ", ".join(self.names[doubt]) + (f" and {more} more" if more else "")
+    def _named(self, warning: InputWarning) -> str:
+        more = self.counts[warning] - len(self.names[warning])
+        return ", ".join(self.names[warning]) + (f" and {more} more" if more else "")
 
 
 @contextmanager
 def summed_up() -> Iterator[None]:
-    """Within it nothing is warned of: the caller says what is doubtful of all vehicles at once."""
+    """Within it nothing is warned of: the caller says what all vehicles are warned of, at once."""
     before = _SUMMED_UP.set(True)
     try:
         yield
@@ -173,17 +175,17 @@ def summed_up() -> Iterator[None]:
         _SUMMED_UP.reset(before)
 
 
-def warn_of(doubts: InputWarnings, stacklevel: int) -> None:
+def warn_of(warnings: InputWarnings, stacklevel: int) -> None:
     """Warn a caller of Python.
 
     Args:
-        doubts: What is doubtful of the vehicles of the call.
+        warnings: The warnings of the vehicles of the call.
         stacklevel: Of the caller, as `warnings.warn` has it in the function that calls this one.
 
     Warns:
         ContradictoryInputWarning: Something is, and nobody sums up.
     """
-    for line in doubts.lines():
+    for line in warnings.lines():
         warn(line, stacklevel + 1)
 
 
@@ -197,10 +199,10 @@ def input_warning_of(observation: Observation, camera: Camera) -> InputWarning |
     """What must be wrong with a vehicle's keypoints as they are given, or its camera, if anything.
 
     Of what a network detected with the vehicle's direction, whose names of keypoints are its own, only the camera is
-    doubted.
+    checked.
     """
     detected = observation.azimuth is not None
-    return (None if detected else _doubt_of_keypoints(observation, camera)) or camera_warning_of(camera)
+    return (None if detected else _warning_of_keypoints(observation, camera)) or camera_warning_of(camera)
 
 
 @lru_cache(maxsize=64)  # many vehicles of few cameras
@@ -226,7 +228,7 @@ def camera_warning_of(camera: Camera) -> InputWarning | None:
     return None if camera.focal_sigma or _NARROWEST < view < _WIDEST else InputWarning.FIELD_OF_VIEW
 
 
-def _doubt_of_keypoints(observation: Observation, camera: Camera) -> InputWarning | None:
+def _warning_of_keypoints(observation: Observation, camera: Camera) -> InputWarning | None:
     if not observation.measured.any():
         return None
     every = observation.keypoints[observation.measured]

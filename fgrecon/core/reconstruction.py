@@ -42,7 +42,7 @@ FORMAT = "fgrecon.reconstruction/1"
 COMPACT = "fgrecon.reconstruction/2"
 
 TRUSTED = 0.5
-"""Keypoints of at least this weight count as trusted where results are told in words."""
+"""Keypoints of at least this weight count as trusted where results are put in words."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,11 +49,11 @@ class SceneReconstruction:
         vehicles = counted(len(self.vehicles), "vehicle")
         lines = [f"SceneReconstruction: {vehicles}, {len(self.refused)} refused. {self.message}"]
         if self.focal_lengths:
-            told = f"{self.camera.matrix[0, 0]:.0f} px, known to {100 * self.camera.focal_sigma:.0f} %"
+            focal = f"{self.camera.matrix[0, 0]:.0f} px, known to {100 * self.camera.focal_sigma:.0f} %"
             others = ", ".join(
                 f"{pixels:.0f} px is {excess:.1f} nats worse" for pixels, excess in self.focal_lengths[1:]
             )
-            lines.append(f"  focal length {told}{f' ({others})' if others else ''}")
+            lines.append(f"  focal length {focal}{f' ({others})' if others else ''}")
         if self.ground is not None:
             pitch, roll = np.degrees(np.arctan2(self.ground.normal[[2, 0]], self.ground.normal[1]))
             lines.append(f"  ground {self.ground.distance:.2f} m below, pitch {pitch:.1f} and roll {roll:.1f} degrees")

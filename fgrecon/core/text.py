@@ -49,5 +49,5 @@ def distinct(name: str, taken: set[str]) -> str:
 
 def markdown_row(cells: Iterable[str]) -> str:
     """A row of a Markdown table with its line's end; no cell ends it or begins another one."""
-    told = (cell.replace("|", "\\|").replace("\n", " ") for cell in cells)
-    return f"| {' | '.join(told)} |\n"
+    escaped = (cell.replace("|", "\\|").replace("\n", " ") for cell in cells)
+    return f"| {' | '.join(escaped)} |\n"

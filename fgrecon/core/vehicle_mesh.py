@@ -82,8 +82,8 @@ class ClosestModel:
 
     def __str__(self) -> str:
         """In words, with the margin."""
-        told = f"{self.model.name}, {100 * self.hausdorff:.0f} cm away (Hausdorff distance of the {self.between})"
-        return f"{told}; {self.second} is {100 * self.margin:.0f} cm farther" if self.second else told
+        closest = f"{self.model.name}, {100 * self.hausdorff:.0f} cm away (Hausdorff distance of the {self.between})"
+        return f"{closest}; {self.second} is {100 * self.margin:.0f} cm farther" if self.second else closest
 
 
 def model_distances(

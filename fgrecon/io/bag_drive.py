@@ -79,7 +79,7 @@ class BagDrive:
     times: tuple[int, ...]  # nanoseconds of every picture of the topic
     recorded: tuple[int, ...]  # when each was recorded, nanoseconds
     frame: str  # the frame of the pictures
-    warnings: list[str]  # what is doubtful
+    warnings: list[str]  # what may be wrong
     _index: _Index
 
     @cached_property

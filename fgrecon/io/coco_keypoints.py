@@ -98,7 +98,7 @@ class VehicleLabels:
     vehicles: tuple[VehicleLabel, ...]  # The labels
     faces: NDArray[np.int64] | None = None  # (F, 3) triangles of every vehicle's surface, or None
     info: Mapping[str, str] = field(default_factory=dict)  # What made them, in words
-    terms: str = ""  # Of the images, in words; empty where they are not told
+    terms: str = ""  # Of the images, in words; empty where they are not given
 
     __repr__ = brief_repr
 

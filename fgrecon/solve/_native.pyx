@@ -258,17 +258,17 @@ cdef void quartic_of(
             L[4 * i + j] = total if i == j else 0.5 * total
 
 
-cdef void told_of(
+cdef void summary_of(
     const double[:, ::1] X, const double[:, ::1] image_points, const double[::1] w, const double *mean,
-    const double *means, const double[:, ::1] forms, const double *q, double *r, double *told
+    const double *means, const double[:, ::1] forms, const double *q, double *r, double *summary
 ) noexcept nogil:
     """r (9,) of a minimum q; its squared length, the rms, and the share of the weight behind the camera."""
     cdef int i, k, l, a, c
     cdef double row[6]
     cdef double error
-    told[0] = told[1] = told[2] = 0.0
+    summary[0] = summary[1] = summary[2] = 0.0
     for i in range(4):
-        told[0] += q[i] * q[i]
+        summary[0] += q[i] * q[i]
     for l in range(9):
         r[l] = 0.0
         for i in range(4):
@@ -280,10 +280,10 @@ cdef void told_of(
             error = mean[c] - image_points[i, c]
             for a in range(3):
                 error += row[a] * r[3 * c + a] + row[3 + a] * r[6 + a]
-            told[1] += w[i] * error * error
+            summary[1] += w[i] * error * error
         if 1.0 + r[6] * X[i, 0] + r[7] * X[i, 1] + r[8] * X[i, 2] <= 0.0:
-            told[2] += w[i]
-    told[1] = sqrt(told[1])
+            summary[2] += w[i]
+    summary[1] = sqrt(summary[1])
 
 
 def pnp(
@@ -313,7 +313,7 @@ def pnp(
     cdef double[:, ::1] starts = np.empty((seeds.shape[0], 4))
     cdef double[:, ::1] q = np.empty((seeds.shape[0], 4))
     cdef double[::1] values = np.empty(seeds.shape[0])
-    cdef double[:, ::1] r, told
+    cdef double[:, ::1] r, summary
     if X.shape[1] != 3 or image_points.shape[1] != 2 or not X.shape[0] == image_points.shape[0] == w.shape[0]:
         raise ValueError("X (N, 3), image_points (N, 2) and w (N,) are wanted")
     if forms.shape[0] != 9 or forms.shape[1] != 10 or seeds.shape[1] != 4:
@@ -327,13 +327,13 @@ def pnp(
         derivatives_of(S, D)
         count = lengthened(D, L, seeds, &starts[0, 0])
         count = descended(D, L, &starts[0, 0], count, steps, converged, same, &q[0, 0], &values[0])
-    r, told = np.empty((count, 9)), np.empty((count, 3))
+    r, summary = np.empty((count, 9)), np.empty((count, 3))
     with nogil:
         for j in range(count):
             for i in range(4):
                 q[j, i] *= scale
-            told_of(X, image_points, w, mean, means, forms, &q[j, 0], &r[j, 0], &told[j, 0])
-    return np.asarray(r), np.asarray(told), sqrt(spread), widest
+            summary_of(X, image_points, w, mean, means, forms, &q[j, 0], &r[j, 0], &summary[j, 0])
+    return np.asarray(r), np.asarray(summary), sqrt(spread), widest
 
 
 def extents(const double[:, ::1] points, const double[:, :, ::1] rotation, double u, double v):

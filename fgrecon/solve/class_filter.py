@@ -1,6 +1,6 @@
 """Of which class a vehicle is, by all of its frames: what each says is multiplied, as far as it is new.
 
-The shape of a vehicle is told from the mean of one class, so its frames are made anew for another (`with_model`) once
+The shape of a vehicle starts from the mean of one class, so its frames are made anew for another (`with_model`) once
 they say something else than what that one was made for.
 """
 

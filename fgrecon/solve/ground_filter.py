@@ -245,7 +245,7 @@ def _moved(past: _Past, frame: CameraFrame, nominal: _Nominal) -> gtsam.CustomFa
 def _known(make: Callable[[], tuple[Marginal, Marginal]]) -> _Known | None:
     """What is known after a step; None where the numbers leave it open."""
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # a camera may be told to be anywhere
+        with np.errstate(over="ignore", invalid="ignore"):  # a camera may be given any place
             found = _Known(*make())
         spreads = [_covariance(one) for one in (found.where, found.counted) if len(one.matrix) == 3]
     except FactorCallbackError:

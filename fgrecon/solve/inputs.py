@@ -197,11 +197,11 @@ def observe(
     if "direction" in options.disabled_terms:
         observation = replace(observation, azimuth=None)  # nor are neighbours or frames of a track to hear of it
     observation = observation.of_at_least(options.keypoints.least_confidence)
-    doubt = input_warning_of(given, camera)
+    warning = input_warning_of(given, camera)
     for which, why in strays(observation, camera):
         observation = observation.without(which, category.keypoints, why)
     observation = observation.undistorted(camera, category.keypoints)
-    return Observed(_with_own_mask(observation, camera) if observation.evidence else observation, doubt)
+    return Observed(_with_own_mask(observation, camera) if observation.evidence else observation, warning)
 
 
 def without_rates_over_ground(observation: Observation) -> Observation:

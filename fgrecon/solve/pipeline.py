@@ -108,7 +108,7 @@ def reconstruct(
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (perf_counter() - posed) * 1e3}
     result = with_mirrored_gain(results(seen, [pose], adjusted, milliseconds, factors)[0], problem)
     if observed.warning is None:
-        doubts = InputWarnings()
-        doubts.add_result("the vehicle", observed.observation, result)
-        warn_of(doubts, stacklevel=3)
+        warnings = InputWarnings()
+        warnings.add_result("the vehicle", observed.observation, result)
+        warn_of(warnings, stacklevel=3)
     return result

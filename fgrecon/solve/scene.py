@@ -232,10 +232,10 @@ def _reconstruct(images: _Images, boxes: Sequence[KnownBox | None] | None = None
     margin = setup.options.ambiguity_margin
     status, warnings = unknown_focal(scene.camera.focal_sigma, scene.focal_lengths, margin)
     each = {number: weakened(one, warnings, status) for number, one in each.items()}
-    doubts = InputWarnings.of({f"vehicle {n}": doubt for n, doubt in scene.independent.warnings.items()})
+    input_warnings = InputWarnings.of({f"vehicle {n}": warning for n, warning in scene.independent.warnings.items()})
     for number, one in each.items():
-        doubts.add_result(f"vehicle {number}", vehicles[number].problem.observation, one)
-    warn_of(doubts, stacklevel=4)
+        input_warnings.add_result(f"vehicle {number}", vehicles[number].problem.observation, one)
+    warn_of(input_warnings, stacklevel=4)
     milliseconds = {"alone": (begun - started) * 1e3, "together": (perf_counter() - begun) * 1e3}
     return [_scene_of_image(image, images, scene, each, milliseconds) for image in range(len(images.vehicles))]
 

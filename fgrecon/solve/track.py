@@ -98,16 +98,16 @@ def reconstruct_track(
     observations = _with_evidence(observations, each, evidence)
 
     started = perf_counter()
-    doubts = InputWarnings()
-    seen, starts, refused = _posed(observations, each, setup, doubts)
+    warnings = InputWarnings()
+    seen, starts, refused = _posed(observations, each, setup, warnings)
     posed = perf_counter()
     adjusted = minimise_from_proposals(seen, starts, factors, in_order=in_order)
     milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
     frames = results(seen, starts, adjusted, {}, factors)
     frames = [with_mirrored_gain(one, part.problem) for part, one in zip(seen, frames, strict=True)]
     for part, one in zip(seen, frames, strict=True):
-        doubts.add_result(f"image {part.image}", part.problem.observation, one)
-    warn_of(doubts, stacklevel=3)
+        warnings.add_result(f"image {part.image}", part.problem.observation, one)
+    warn_of(warnings, stacklevel=3)
     status, message = _status(frames, refused)
     optimum = adjusted.optimum
     keep = setup.options.keep_history and optimum.failure is None
@@ -137,9 +137,9 @@ def _with_evidence(
 
 
 def _posed(
-    observations: Sequence[Observation | None], cameras: Sequence[Camera], setup: SolveSetup, doubts: InputWarnings
+    observations: Sequence[Observation | None], cameras: Sequence[Camera], setup: SolveSetup, warnings: InputWarnings
 ) -> tuple[list[GraphObservation], list[PoseEstimate], dict[int, str]]:
-    """The images that have a pose, their proposals, and why others have none; `doubts` has what is wrong with them."""
+    """The images that have a pose, their proposals, and why others have none; `warnings` gets what is wrong."""
     looked: dict[int, tuple[Observation, Camera, SolveSetup]] = {}
     seen: list[GraphObservation] = []
     starts: list[PoseEstimate] = []
@@ -150,8 +150,8 @@ def _posed(
             refused[number] = "no keypoints"
             continue
         try:
-            observation, doubt = observe(given, camera, setup.prior.category, setup.options)
-            doubts.add(f"image {number}", doubt)
+            observation, warning = observe(given, camera, setup.prior.category, setup.options)
+            warnings.add(f"image {number}", warning)
             scaled = with_scales([observation], camera, setup)[0]
             own = setup
             if scaled.evidence:

@@ -248,17 +248,17 @@ class Tracker:
         """The observations as they are solved from, and why others cannot be used."""
         camera, found = frame.camera, dict[int, Observation]()
         refused: dict[int, FgreconError] = {}
-        doubts = InputWarnings()
+        warnings = InputWarnings()
         for name, given in observations.items():
             try:
                 category, options = self._setup.prior.category, self._setup.options
-                found[name], doubt = observe(given, camera, category, options, evidence=evidence, moving=True)
-                doubts.add(f"vehicle {name}", doubt)
+                found[name], warning = observe(given, camera, category, options, evidence=evidence, moving=True)
+                warnings.add(f"vehicle {name}", warning)
                 if frame.world_T_camera is None:
                     found[name] = without_rates_over_ground(found[name])
             except FgreconError as error:
                 refused[name] = error
-        warn_of(doubts, stacklevel=5)
+        warn_of(warnings, stacklevel=5)
         scaled = with_scales([*found.values()], camera, self._setup)
         scaled = with_fitted_classes(scaled, camera, self._setup, frame.ground)
         coupled = couple_facings(scaled, camera, self._setup.prior, self._setup.options)

@@ -64,8 +64,8 @@ def weaknesses(
         found.append(REASONS[InputWarning.AIR])
     if np.linalg.norm(camera_T_object[:3, 3]) > FARTHEST:
         found.append(REASONS[InputWarning.FAR])
-    if (doubt := camera_warning_of(camera)) is not None:
-        found.append(REASONS[doubt])
+    if (warning := camera_warning_of(camera)) is not None:
+        found.append(REASONS[warning])
     return tuple(found)
 
 

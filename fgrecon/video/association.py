@@ -7,9 +7,9 @@
 A track predicts its box by how the box has moved and grown, or by a given pose and velocity (`set_motion`), and where
 it stands on the ground by how that has moved. A detection is a track's where the boxes overlap and the places agree;
 the sum of 1 - overlap, of the places' deviation and of how little the directions that a network sees them from have in
-common is least over all pairs. Sure detections choose first, then doubtful
+common is least over all pairs. Sure detections choose first, then unsure
 ones. A track that is not observed is sought for a while, and has its id back when it is observed again. A detection
-that is no track's becomes one when it is observed again, unless it is beyond doubt or of the first frame: most of those
+that is no track's becomes one when it is observed again, unless it is certain or of the first frame: most of those
 that are observed once are no vehicles.
 """
 

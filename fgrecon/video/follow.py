@@ -154,7 +154,9 @@ class Follower:
         ids = self.association(record.time, [self._candidate(s) for s in unknown], previous_T_current)
         named = {s.identity: s for s in known} | dict(zip(ids, unknown, strict=True))
         sightings = {identity: s for identity, s in named.items() if identity is not None}
-        observations = {i: told for i, s in sightings.items() if (told := s.told) is not None}
+        observations = {
+            i: observation for i, s in sightings.items() if (observation := s.classed_observation) is not None
+        }
         estimates = self.tracker.update(
             record.time,
             observations,

@@ -49,7 +49,7 @@ class Sighting:
     vehicle_class: VehicleClass | None = None
 
     @property
-    def told(self) -> Observation | None:
+    def classed_observation(self) -> Observation | None:
         """What a tracker takes: the keypoints with the class; None where there are none."""
         if self.observation is None or self.vehicle_class is None:
             return self.observation

@@ -371,7 +371,7 @@ def track_video(
 
     Args:
         job: What is to be done.
-        warn: Called with what is doubtful of the input.
+        warn: Called with every input warning.
         go_on: Called after each frame, as that of `fgrecon.video.run_video`.
         smoothing: Called when the vehicles that have not gone are smoothed next.
         window_graph: Whether frames keep the factor graph of the tracker's window, for a viewer.
@@ -490,17 +490,17 @@ def _sense(
 
 def _keypoint_warnings(job: VideoJob, run: VideoRun) -> list[str]:
     """What to warn of keypoints that were given, and of the camera."""
-    doubts = InputWarnings()
+    warnings = InputWarnings()
     if job.given is None or not job.given.complete:  # boxes alone, in which the network has detected them
-        doubts.add(job.request.source, camera_warning_of(job.camera))
-        return doubts.lines()
+        warnings.add(job.request.source, camera_warning_of(job.camera))
+        return warnings.lines()
     for frame in run.frames:
         for identity, seen in frame.observations.items():
             name = f"{identity} in {frame.name}"
-            doubts.add(name, input_warning_of(seen, job.camera))
+            warnings.add(name, input_warning_of(seen, job.camera))
             if (estimate := frame.estimates.get(identity)) is not None:
-                doubts.add_result(name, seen, estimate.reconstruction)
-    return doubts.lines()
+                warnings.add_result(name, seen, estimate.reconstruction)
+    return warnings.lines()
 
 
 def write_tracks(job: VideoJob, run: VideoRun) -> None:

@@ -76,7 +76,7 @@ def test_an_end_of_what_was_tried_and_what_does_not_hold_are_said():
     percent = " and ".join(f"{100 * wide.inside['yaw'][level]:.0f}" for level in SIGMAS)
     assert f", {percent} % of the yaws there." in left_out
     told = wide.calibration.provenance
-    assert told["doubts"] == list(wide.warnings)
+    assert told["warnings"] == list(wide.warnings)
     assert told["inside"]["yaw"] == {"0.68": wide.inside["yaw"][0.68], "0.95": wide.inside["yaw"][0.95]}
     (narrow,) = fit_detector({factor: boxes(factor * 100.0) for factor in FACTORS}, {}).warnings
     assert narrow.startswith("common_factor 1 is the smallest")

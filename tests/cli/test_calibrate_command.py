@@ -96,8 +96,8 @@ def test_what_cannot_be_fitted_does_not_take_the_rest_along(tmp_path, passes):
         done = run("calibrate", folder, "--detect", "--out", out)
         assert done.exit_code == 0, done.output
         found = load_calibration(out)
-        assert all(doubt in " ".join(done.stderr.split()) for doubt in found.provenance["doubts"])
-        return found, found.provenance["doubts"]
+        assert all(doubt in " ".join(done.stderr.split()) for doubt in found.provenance["warnings"])
+        return found, found.provenance["warnings"]
 
     whole, doubts = calibrated(drive)
     assert (whole.boxes is not None, len(passes.factors), doubts) == (True, 6, [])
@@ -135,4 +135,4 @@ def test_values_at_the_end_of_what_was_tried_are_warned_of(tmp_path, passes, mon
     done = run("calibrate", street(tmp_path / "a"), "--out", tmp_path / "detector.json")
     assert done.exit_code == 0, done.output
     assert "Warning: common_factor 32 is the largest that was tried" in " ".join(done.stderr.split())
-    assert len(json.loads((tmp_path / "detector.json").read_text())["provenance"]["doubts"]) == 2
+    assert len(json.loads((tmp_path / "detector.json").read_text())["provenance"]["warnings"]) == 2

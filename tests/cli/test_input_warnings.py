@@ -127,7 +127,7 @@ def test_contradictions_of_a_whole_file_through_batch(tmp_path, many, cars, jobs
     assert "left and right" in said
     rows = pq.read_table(tmp_path / "mirrored").to_pylist()
     assert "converged" not in {row["status"] for row in rows}
-    assert {row["doubt"] for row in rows} == {"mirrored"}
+    assert {row["input_warning"] for row in rows} == {"mirrored"}
     intrinsics = ("--intrinsics", "721.5,721.5,172.9,609.6")
     said = said_by("batch", many(lambda points: points), *intrinsics, "--out", tmp_path / "camera", "--jobs", jobs)
     assert said.count("Warning") == 1
@@ -162,7 +162,7 @@ def test_of_many_it_is_told_once_with_their_number(tmp_path, many, change, told)
     said = said_by("batch", many(change), "--out", tmp_path / "out", "--jobs", 1, "--size-prior", "apollo79")
     if told is None:
         assert "Warning" not in said
-        assert pq.read_table(tmp_path / "out").column("doubt").null_count == 9
+        assert pq.read_table(tmp_path / "out").column("input_warning").null_count == 9
     else:
         assert said.count(told) == 1
         assert said.count("Warning") == 1

@@ -33,7 +33,7 @@ class BagImage:
     """An image's message in a bag."""
 
     topic: str
-    frame: str  # its frame, in which boxes are told beside it
+    frame: str  # its frame, in which boxes are given beside it
     frame_T_camera: Array  # (4, 4) from a camera's axes right, down, ahead to those of the frame
     stamp: int  # nanoseconds of its header
     recorded: int  # when it was recorded, nanoseconds

@@ -65,7 +65,7 @@ class _Moment:
 
     @property
     def frame(self) -> str:
-        """The frame in which its boxes are told."""
+        """The frame in which its boxes are given."""
         if self.info.bag is not None:
             return self.info.bag.frame
         return CAMERA if self.info.world_T_camera is None else WORLD
@@ -357,4 +357,4 @@ _ROS_TOPICS: Mapping[str, tuple[str, Callable[[_Moment], dict[str, Any]]]] = {
     "visualization_msgs/MarkerArray": ("/fgrecon/markers", _markers),
     "foxglove_msgs/SceneUpdate": ("/fgrecon/scene", lambda moment: _scene(moment, "nanosec")),
 }
-"""What is told of an image in ROS 2: topics and messages by their types."""
+"""What is written of an image in ROS 2: topics and messages by their types."""

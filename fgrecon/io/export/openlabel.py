@@ -1,7 +1,7 @@
 """Results as OpenLABEL (ASAM's JSON for labels): boxes, cuboids and keypoints of vehicles by the number of the frame.
 
-A cuboid is told by its centre, the quaternion x, y, z, w of its axes forward, left, up, and length, width, height; in
-the world where the poses of the camera are known, else in the camera's frame. A 2D box is told by its centre.
+A cuboid is given by its centre, the quaternion x, y, z, w of its axes forward, left, up, and length, width, height; in
+the world where the poses of the camera are known, else in the camera's frame. A 2D box is given by its centre.
 """
 
 from __future__ import annotations

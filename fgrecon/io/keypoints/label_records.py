@@ -8,7 +8,7 @@
 | datumaro | `points`; their `bbox` has the same group | by the categories of their label | visibility 1; 0 is none |
 | FiftyOne | a `Keypoint`; the `Detection` has the same `index` | by `names`, else in their order | `confidence` |
 
-Boxes are corners in pixels; OpenLABEL's is told by its centre, datumaro's by its corner and size, FiftyOne's too,
+Boxes are corners in pixels; OpenLABEL's is given by its centre, datumaro's by its corner and size, FiftyOne's too,
 in parts of the image. A point that is
 hidden is as likely right as wrong.
 """

@@ -2,7 +2,7 @@
 
     class x y width height u1 v1 c1 u2 v2 c2 ... [score] [track]
 
-Box (its centre) and points are shares of the image, whose size is told by its file: of the same name beside the lines,
+Box (its centre) and points are shares of the image, whose size is given by its file: of the same name beside the lines,
 or in `images` where they are in `labels`. Points have two numbers, or three: whole ones are COCO's flags, 0 not there,
 1 hidden and 2 seen; others are probabilities. A point at the image's corner is none. A lone whole number at the end is
 the track: ultralytics writes it without a score by default.

@@ -111,7 +111,7 @@ class Graph:
             InvalidInputError: A factor of the caller's own has a key of no variable, or is of another type than it.
         """
         self.options: Options = observations[0].problem.options
-        self._told: tuple[Sequence[Weights], Form] | None = None  # what the rows have
+        self._applied: tuple[Sequence[Weights], Form] | None = None  # what the rows have
         self._system: CompiledSystem | MixedSystem | None = None
         self.vehicles: dict[int, VehiclePart] = {}
         self.observations: list[ObservationPart] = []
@@ -240,14 +240,14 @@ class Graph:
                 part.reweigh(values, weights, progress, hold=not look)
                 for part, weights, look in zip(self.observations, before, looks, strict=True)
             ]
-        form = Form.NEWTON if self._told is None else self._told[1]
+        form = Form.NEWTON if self._applied is None else self._applied[1]
         self._tell(before, form)
         found = self._system.judge(point, looks)
         weights = [
             part.judged(one, None if look else w)
             for part, one, look, w in zip(self.observations, found, looks, before, strict=True)
         ]
-        self._told = weights, form
+        self._applied = weights, form
         return weights
 
     @property
@@ -278,7 +278,7 @@ class Graph:
 
     def _tell(self, weights: Sequence[Weights], form: Form) -> None:
         """Set weights, unless they are set."""
-        if self._told is not None and self._told[0] is weights and self._told[1] is form:
+        if self._applied is not None and self._applied[0] is weights and self._applied[1] is form:
             return
         for part, weight in zip(self.observations, weights, strict=True):
             if self._judges:
@@ -287,7 +287,7 @@ class Graph:
                 part.tell(weight, form)
         for one in self.sensed:
             one.tell(form)
-        self._told = weights, form
+        self._applied = weights, form
 
     def step(self, point: Point, weights: Sequence[Weights], form: Form) -> tuple[Array, Callable[[], float]]:
         """The step of `system` at a point of it, and what tells their energy as `error` has it, nats.
@@ -334,7 +334,7 @@ class Graph:
     def _built(
         self, factors: Iterable[gtsam.NonlinearFactor], weights: Sequence[Weights], form: Form, *, common: bool = False
     ) -> gtsam.NonlinearFactorGraph:
-        self._told = None
+        self._applied = None
         for part, weight in zip(self.observations, weights, strict=True):
             part.tell(weight, form)
         for one in self.sensed:
@@ -356,7 +356,7 @@ class Graph:
 
         What other sensors say by the `silent` name counts for nothing.
         """
-        self._told = None
+        self._applied = None
         for part, weight in zip(self.observations, weights, strict=True):
             part.tell(weight, Form.WEIGHTED)
         for one in self.sensed:

@@ -105,7 +105,7 @@ class ObservationPart:
         self._strategy = problem.energy.keypoints.strategy
         self._mixture = self._strategy.name is StrategyName.MIXTURE
         self._last: _Assessed | None = None
-        self._told: tuple[Form, Array, Array, Array, float] | None = None  # what the rows have
+        self._applied: tuple[Form, Array, Array, Array, float] | None = None  # what the rows have
         self.compiled: CompiledRows | None = None
         kernel = native("factors._energy")
         if self._compiled is not None and kernel is not None and self.keys:
@@ -149,8 +149,8 @@ class ObservationPart:
             share=self.share,
             robust=None if self._strategy.loss is None else self._strategy.robust_loss,
         )
-        if self._told is not None:
-            rows.form, rows.right, rows.wrong, rows.edge_weights, rows.height_sigma = self._told
+        if self._applied is not None:
+            rows.form, rows.right, rows.wrong, rows.edge_weights, rows.height_sigma = self._applied
         return rows
 
     @property
@@ -160,7 +160,7 @@ class ObservationPart:
 
     @cached_property
     def factor(self) -> gtsam.CustomFactor | None:
-        """The factor of all terms as the solver gets it, the same one whatever it is told; None of constants."""
+        """The factor of all terms as the solver gets it, the same one whatever is applied to it; None of constants."""
         return None if self.rows is None else observation_factor(self.rows)
 
     def tell(self, weights: Weights, form: Form = Form.NEWTON) -> None:
@@ -182,9 +182,9 @@ class ObservationPart:
         if self.compiled is not None:
             self.compiled.source.form = int(form)
             self.compiled.source.tell(right, wrong, weights.box, sigma)
-        self._told = form, right, wrong, weights.box, sigma
+        self._applied = form, right, wrong, weights.box, sigma
         if (rows := vars(self).get("rows")) is not None:  # made when they are asked for
-            rows.form, rows.right, rows.wrong, rows.edge_weights, rows.height_sigma = self._told
+            rows.form, rows.right, rows.wrong, rows.edge_weights, rows.height_sigma = self._applied
 
     @property
     def judges(self) -> bool:

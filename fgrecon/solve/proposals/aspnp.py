@@ -131,9 +131,9 @@ def _minima(X: Array, image_points: Array, w: Array, *, every: bool) -> _Found:
 def _descended(kernel: Any, X: Array, image_points: Array, w: Array) -> _Found:
     """The same, compiled, of those that are found by descending."""
     arrays = map(np.ascontiguousarray, (X, image_points, w, _ROWS))
-    r, told, spread, widest = kernel.pnp(*arrays, *_polynomial.descent())
+    r, summary, spread, widest = kernel.pnp(*arrays, *_polynomial.descent())
     _check_apart(widest, image_points)
-    squared_length, rms, behind = told.T
+    squared_length, rms, behind = summary.T
     return _Found(r, squared_length, rms, behind, spread)
 
 

@@ -59,7 +59,7 @@ class TimeSettings:
     those that drive begin at 10.5."""
     driving_margin_nats: float = 3.0  # more or less than that: what leaves open which it is
     driving_evidence_s: float = 0.5  # frames of less time do not say which it is
-    driving_recheck_s: float = 0.3  # after which it is decided anew, where there was no doubt
+    driving_recheck_s: float = 0.3  # after which it is decided anew, where it was certain
     # Motion, 1 sigma in a second: rotations (3,) and translations (3,), along the vehicle's axes
     motion_sigma: tuple[float, ...] = (0.02, 0.05, 0.02, 0.2, 0.1, 0.1)  # that constant velocity and turn rate miss
     unknown_camera_sigma: tuple[float, ...] = (

@@ -64,7 +64,7 @@ class WindowSolve:
     # whether the velocity of each is over the world, else it is relative to the camera; None where no time has
     # passed that tells it
     over_world: tuple[bool | None, ...] = ()
-    # whether the vehicle stands in all of them, or drives; None where that is in doubt, or cannot be said
+    # whether the vehicle stands in all of them, or drives; None where that is not certain
     stands: bool | None = None
 
     def moved(self, frames: Sequence[Frame]) -> list[Frame]:

@@ -115,7 +115,7 @@ def sized(model: VehicleModel, size: SizePrior) -> VehicleModel:
 def in_traffic(model: VehicleModel) -> VehicleModel:
     """The model of a vehicle whose size a solve allows all that the traffic's is; remembered.
 
-    Less is best where size and distance are told by one image, and a van is a car that is nearer. Where its distance is
+    Less is best where one image measures size and distance, and a van is a car that is nearer. Where its distance is
     measured it is not, and what is as high as a van may be one.
     """
     if model.size is None:

@@ -191,7 +191,7 @@ def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -
 
 
 def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | None = None) -> Method:
-    @summed_up()  # what an evaluation solves is measured, not doubted
+    @summed_up()  # what an evaluation solves is measured, not warned of
     def result_of(
         scene: SceneKnowledge, observation: Observation, camera: Camera, *, keep_history: bool
     ) -> Reconstruction:
@@ -204,7 +204,7 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
             ground=scene.ground if ground else None,
             size_prior=scene.size if size else None,
             options=Options(strategy=strategy, box=BoxModel.CUBOID, keep_history=keep_history),
-            evidence=[VehicleClass("car")] if size else (),  # as rivals are told the size of cars
+            evidence=[VehicleClass("car")] if size else (),  # as rivals are given the size of cars
         )
 
     def bind(scene: SceneKnowledge) -> Solver:

@@ -168,7 +168,7 @@ def _sqpnp(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Arra
     return [(rigid(cv2.Rodrigues(turn)[0], origin.ravel()), prior.mean)]
 
 
-@summed_up()  # what an evaluation solves is measured, not doubted
+@summed_up()  # what an evaluation solves is measured, not warned of
 def _stages(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Array, Array]]:
     marked = np.isfinite(car.keypoints[:, 0]).astype(np.float64)
 

@@ -142,7 +142,7 @@ class PosedScore:
         return float((self.errors <= degrees).mean())
 
 
-@summed_up()  # what an evaluation solves is measured, not doubted
+@summed_up()  # what an evaluation solves is measured, not warned of
 def azimuth_errors(
     detector: KeypointCascade,
     cars: Sequence[PosedCar],
