@@ -84,7 +84,7 @@ def test_commands_bear_damaged_files(name):
     assert ended.files == 1
 
 
-def test_what_is_wrong_with_a_command_is_told(tmp_path):
+def test_what_is_wrong_with_a_command_is_reported(tmp_path):
     assert outcome("prior show nothing", tmp_path).fault is None
     assert outcome("prior show nothing", tmp_path).code == 2
     trace = "Traceback (most recent call last):\n  a\nValueError: b\n"

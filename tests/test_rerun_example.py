@@ -30,7 +30,7 @@ def test_the_metadata_are_whole():
     assert title == title[0].upper() + title[1:].lower()
 
 
-def test_the_thumbnail_has_the_size_that_is_told():
+def test_the_thumbnail_has_the_size_that_is_reported():
     with Image.open(FOLDER / METADATA["thumbnail"]) as picture:
         assert list(picture.size) == METADATA["thumbnail_dimensions"]
     assert (FOLDER / METADATA["thumbnail"]).stat().st_size < 200_000

@@ -99,7 +99,7 @@ def test_builds_are_measured_in_turn_and_divided_by_the_first(tmp_path):
     assert ran == ["base", "this", "this", "base"]
 
 
-def test_a_command_is_timed_and_its_errors_are_told(tmp_path):
+def test_a_command_is_timed_and_its_errors_are_reported(tmp_path):
     used = timed(THIS, ["-c", "print(sum(range(10**6)))"], tmp_path)
     assert 0.0 < used["CPU, s"] < 60.0
     assert used["memory, MB"] > 5.0

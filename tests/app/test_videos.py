@@ -65,7 +65,7 @@ def test_the_timeline_has_values_and_bands_of_a_car(results):
     assert "probability" in words or "none" in words
 
 
-def test_a_moment_of_which_little_is_known_is_told(results):
+def test_a_moment_of_which_little_is_known_is_reported(results):
     (car,) = results[1].cars
     bare = CarMoment(0.0, {name: [None] * 3 for name in car.moments[0].bands}, [])
     assert "heading unknown°" in in_words(car, bare)

@@ -96,23 +96,23 @@ def test_what_cannot_be_fitted_does_not_take_the_rest_along(tmp_path, passes):
         done = run("calibrate", folder, "--detect", "--out", out)
         assert done.exit_code == 0, done.output
         found = load_calibration(out)
-        assert all(doubt in " ".join(done.stderr.split()) for doubt in found.provenance["warnings"])
+        assert all(warning in " ".join(done.stderr.split()) for warning in found.provenance["warnings"])
         return found, found.provenance["warnings"]
 
-    whole, doubts = calibrated(drive)
-    assert (whole.boxes is not None, len(passes.factors), doubts) == (True, 6, [])
+    whole, warnings = calibrated(drive)
+    assert (whole.boxes is not None, len(passes.factors), warnings) == (True, 6, [])
     assert whole.provenance["outlines"] == 40
-    found, (doubt,) = calibrated(hidden)
+    found, (warning,) = calibrated(hidden)
     assert (found.common_factor, found.boxes) == (whole.common_factor, None)
-    assert "edges are could not be fitted: 0 labelled cars that are visible as a whole. Give drives with" in doubt
+    assert "edges are could not be fitted: 0 labelled cars that are visible as a whole. Give drives with" in warning
     passes.detected = 7
-    found, (doubt,) = calibrated(drive)
+    found, (warning,) = calibrated(drive)
     assert (found.common_factor, found.boxes) == (whole.common_factor, None)
-    assert "7 detected cars that are visible as a whole" in doubt
+    assert "7 detected cars that are visible as a whole" in warning
     passes.detected, passes.vehicles = 40, 20
-    found, (doubt,) = calibrated(drive)
+    found, (warning,) = calibrated(drive)
     assert (found.numbers, found.boxes) == (type(found)().numbers, whole.boxes)
-    assert "facings, could not be fitted: " in doubt
+    assert "facings, could not be fitted: " in warning
     assert len(passes.factors) == 1
     assert "common_factor" not in run("calibrate", drive, "--detect", "--out", out).stdout
     out.unlink()

@@ -180,11 +180,11 @@ def test_of_a_video_too(tmp_path, many, change, told):
 
 
 def test_of_a_hundred_thousand_three_names_are_kept():
-    doubts = InputWarnings()
+    warnings = InputWarnings()
     for number in range(100_000):
-        doubts.add(str(number), InputWarning.BESIDE)
-    assert doubts.names == {InputWarning.BESIDE: ["0", "1", "2"]}
-    (line,) = doubts.lines()
+        warnings.add(str(number), InputWarning.BESIDE)
+    assert warnings.names == {InputWarning.BESIDE: ["0", "1", "2"]}
+    (line,) = warnings.lines()
     assert "of 0, 1, 2 and 99997 more are beside" in line
 
 

@@ -197,7 +197,7 @@ def test_a_track_is_read_too(write):
     assert [scene["image"] for scene in scenes] == ["track:3", "track:4"]  # one vehicle in two images, not two
 
 
-def test_unknown_fields_are_told(write, instance):
+def test_unknown_fields_are_reported(write, instance):
     done = run(write(instance | {"confidences": [1.0] * 14}), INTRINSICS)
     assert "confidences" in done.stdout
 

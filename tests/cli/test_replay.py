@@ -55,7 +55,7 @@ def test_what_is_no_recording_is_refused(tmp_path, flag, monkeypatch):
 
 
 @pytest.mark.parametrize("flags", [(), ("--web",), ("--bind", "127.0.0.2")])
-def test_the_viewer_listens_on_this_machine_alone_unless_told(recording, monkeypatch, flags):
+def test_the_viewer_listens_on_this_machine_alone_unless_asked(recording, monkeypatch, flags):
     monkeypatch.setenv("DISPLAY", ":0")
     commands = []
     monkeypatch.setattr(command, "_become", commands.append)

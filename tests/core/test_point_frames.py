@@ -34,6 +34,6 @@ def test_a_scan_all_around_is_taken_though_most_of_it_is_outside_the_image() -> 
         (np.array([[90.0, 90.0, 5.0]]), "another place"),
     ],
 )
-def test_the_likely_mistake_is_told(points: np.ndarray, message: str) -> None:
+def test_the_likely_mistake_is_reported(points: np.ndarray, message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         check_points(points, CAMERA)

@@ -319,7 +319,7 @@ def test_what_tells_the_image_of_a_vehicle(tmp_path):
     assert images_of(tmp_path, ["a:0", "b:0"], scenes=[together, together]) == ["a", "b"]
 
 
-def test_results_tell_the_image_that_keypoints_told(tmp_path):
+def test_results_tell_the_image_that_keypoints_give(tmp_path):
     """And so those of COCO's images, whose ids are numbers, are of several; those of a photograph are of one."""
     from tests.batch.support import instances
 

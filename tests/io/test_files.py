@@ -72,7 +72,7 @@ def test_a_pipe_is_written_to_and_stays_one(tmp_path, linked):
     assert {p.name for p in tmp_path.iterdir()} == {pipe.name, named.name}
 
 
-def test_a_pipe_whose_reader_goes_away_is_told(tmp_path):
+def test_a_pipe_whose_reader_goes_away_is_reported(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     reader = Thread(target=lambda: pipe.open("rb").close(), daemon=True)
@@ -105,12 +105,12 @@ def test_the_longest_name_can_be_written_and_what_was_left_of_it_is_cleared(tmp_
     assert all(len(os.fsencode(part.name)) <= 255 for part in left)
 
 
-def test_a_name_that_is_too_long_is_told(tmp_path):
+def test_a_name_that_is_too_long_is_reported(tmp_path):
     with pytest.raises(InvalidInputError, match="too long"):
         write_text(tmp_path / ("n" * 256), "x")
 
 
-def test_a_link_that_leads_to_itself_is_told(tmp_path):
+def test_a_link_that_leads_to_itself_is_reported(tmp_path):
     (link := tmp_path / "a.txt").symlink_to("b.txt")
     (tmp_path / "b.txt").symlink_to("a.txt")
     for path in (link, link / "deeper.txt"):

@@ -118,7 +118,7 @@ def test_they_shrink_the_covariances(seen):
     np.testing.assert_allclose(tied.uncertainty.coefficients_covariance, expected, atol=1e-3 * expected.max())
 
 
-def test_they_are_told(seen):
+def test_they_are_reported(seen):
     factor = distance(13.0, 0.2)
     result = reconstruct(seen, CAMERA, extra_factors=[factor])
     away = np.linalg.norm(result.location) - 13.0

@@ -14,8 +14,8 @@ from fgrecon.solve.ground_filter import CameraFrame, GroundFilter
 from tests.solve.time.streets import CAMERA, PRIOR, seen, upright
 
 GROUND = 1.65
-TOLD = Ground.level(GROUND)
-LEVEL = GroundFrame.of(TOLD.normal, GROUND)
+GIVEN = Ground.level(GROUND)
+LEVEL = GroundFrame.of(GIVEN.normal, GROUND)
 SLOPE = np.array([0.05, 0.02, 0.0])  # the camera is 5 cm higher than told, and the road goes up
 SURE = np.array([0.01, 0.001, 0.001])
 
@@ -72,36 +72,36 @@ def slope_of(known):
 
 
 def test_the_first_frame_is_what_is_told_and_what_vehicles_say():
-    known = later(Video(), 0.0, TOLD, None, Saying(SLOPE))
+    known = later(Video(), 0.0, GIVEN, None, Saying(SLOPE))
     ground = known.ground
-    prior = np.array([TOLD.height_sigma, TOLD.slope_sigma, TOLD.slope_sigma])
+    prior = np.array([GIVEN.height_sigma, GIVEN.slope_sigma, GIVEN.slope_sigma])
     expected = SLOPE * prior**2 / (prior**2 + SURE**2)
     assert slope_of(known) == pytest.approx(expected[1], rel=1e-6)
     assert ground.distance == pytest.approx(GROUND + expected[0], rel=1e-6)
-    assert ground.height_sigma < TOLD.height_sigma
-    assert ground.slope_sigma < 0.5 * TOLD.slope_sigma
+    assert ground.height_sigma < GIVEN.height_sigma
+    assert ground.slope_sigma < 0.5 * GIVEN.slope_sigma
 
 
-def test_without_vehicles_it_is_what_is_told():
-    ground = later(Video(), 0.0, TOLD, None, Silent()).ground
-    np.testing.assert_allclose(ground.normal, TOLD.normal, atol=1e-12)
+def test_without_vehicles_it_is_what_is_given():
+    ground = later(Video(), 0.0, GIVEN, None, Silent()).ground
+    np.testing.assert_allclose(ground.normal, GIVEN.normal, atol=1e-12)
     assert ground.distance == pytest.approx(GROUND)
-    assert (ground.height_sigma, ground.slope_sigma) == pytest.approx((TOLD.height_sigma, TOLD.slope_sigma))
+    assert (ground.height_sigma, ground.slope_sigma) == pytest.approx((GIVEN.height_sigma, GIVEN.slope_sigma))
 
 
 def test_it_stays_known_and_is_forgotten_slowly():
     road = Video()
-    first = later(road, 0.0, TOLD, None, Saying(SLOPE))
-    grounds = [later(road, time, TOLD, None, Silent()) for time in (0.5, 5.0, 300.0)]
+    first = later(road, 0.0, GIVEN, None, Saying(SLOPE))
+    grounds = [later(road, time, GIVEN, None, Silent()) for time in (0.5, 5.0, 300.0)]
     slopes = [slope_of(first), *map(slope_of, grounds)]
     assert slopes == sorted(slopes, reverse=True)
     assert slopes[1] > 0.9 * slopes[0]
     assert slopes[3] < 0.01 * slopes[0]
     sigmas = [known.ground.slope_sigma for known in (first, *grounds)]
     assert sigmas == sorted(sigmas)
-    assert sigmas[3] == pytest.approx(TOLD.slope_sigma, rel=1e-3)
-    late = later(road, 1e7, TOLD, None, Silent())
-    assert late.ground.slope_sigma == pytest.approx(TOLD.slope_sigma, rel=1e-3)
+    assert sigmas[3] == pytest.approx(GIVEN.slope_sigma, rel=1e-3)
+    late = later(road, 1e7, GIVEN, None, Silent())
+    assert late.ground.slope_sigma == pytest.approx(GIVEN.slope_sigma, rel=1e-3)
 
 
 def test_vehicles_that_are_seen_again_count_by_the_time_that_passed():
@@ -110,7 +110,7 @@ def test_vehicles_that_are_seen_again_count_by_the_time_that_passed():
     def slope_after(times):
         road = Video()
         for time in times:
-            ground = later(road, time, TOLD, None, Saying(SLOPE, sigma=10.0 * SURE))
+            ground = later(road, time, GIVEN, None, Saying(SLOPE, sigma=10.0 * SURE))
         return slope_of(ground)
 
     dense, two = slope_after(0.03 * np.arange(11)), slope_after([0.0, 0.3])
@@ -124,18 +124,18 @@ def test_it_turns_with_the_camera():
     seen_by, slopes = [None, gtsam.Pose3()], []
     for first in seen_by:
         road = Video()
-        before = later(road, 0.0, TOLD, first, Saying(SLOPE))
-        slopes.append(slope_of(later(road, 0.1, TOLD, None if first is None else nod, Silent())))
+        before = later(road, 0.0, GIVEN, first, Saying(SLOPE))
+        slopes.append(slope_of(later(road, 0.1, GIVEN, None if first is None else nod, Silent())))
     assert slopes[0] == pytest.approx(slope_of(before), rel=0.01)
     assert abs(slopes[1]) < 0.1 * slopes[0]
 
 
 def test_where_the_ground_before_tells_nothing_it_begins_anew():
     road = Video()
-    later(road, 0.0, TOLD, gtsam.Pose3(), Saying(SLOPE))
+    later(road, 0.0, GIVEN, gtsam.Pose3(), Saying(SLOPE))
     away = gtsam.Pose3(upright(0.3, [1e6, 0.0, 1e6]))
-    known = later(road, 0.01, TOLD, away, Silent())
-    np.testing.assert_allclose(known.ground.normal, TOLD.normal, atol=1e-12)
+    known = later(road, 0.01, GIVEN, away, Silent())
+    np.testing.assert_allclose(known.ground.normal, GIVEN.normal, atol=1e-12)
     assert known.ground.distance == GROUND
 
 
@@ -143,9 +143,9 @@ def test_a_motion_that_is_not_exact_leaves_the_ground_less_sure():
     sigmas = []
     for turn in (0.0, 0.01):
         road = Video()
-        later(road, 0.0, TOLD, gtsam.Pose3(), Saying(SLOPE))
+        later(road, 0.0, GIVEN, gtsam.Pose3(), Saying(SLOPE))
         covariance = np.diag([turn**2] * 3 + [0.0] * 3)
-        known = later(road, 0.1, TOLD, gtsam.Pose3(), Silent(), motion_covariance=covariance)
+        known = later(road, 0.1, GIVEN, gtsam.Pose3(), Silent(), motion_covariance=covariance)
         sigmas.append(known.ground.slope_sigma)
     assert sigmas[1] > 1.2 * sigmas[0]
 
@@ -155,17 +155,17 @@ def test_of_the_cameras_way_only_what_goes_up_and_down_matters(axis, matters):
     sigmas = []
     for way in (0.0, 0.3):
         road = Video()
-        later(road, 0.0, TOLD, gtsam.Pose3(), Saying(SLOPE))
+        later(road, 0.0, GIVEN, gtsam.Pose3(), Saying(SLOPE))
         covariance = np.zeros((6, 6))
         covariance[3 + axis, 3 + axis] = way**2
-        known = later(road, 0.1, TOLD, gtsam.Pose3(), Silent(), motion_covariance=covariance)
+        known = later(road, 0.1, GIVEN, gtsam.Pose3(), Silent(), motion_covariance=covariance)
         sigmas.append(known.ground.height_sigma)
     assert (sigmas[1] > 1.2 * sigmas[0]) == matters
 
 
 def test_a_pose_is_as_unsure_as_the_ground_that_decides_it():
     """A pose that only the ground's height decides has the ground's variance and its own; one that is known, none."""
-    known = later(Video(), 0.0, TOLD, None, Saying(SLOPE, sigma=3.0 * SURE))
+    known = later(Video(), 0.0, GIVEN, None, Saying(SLOPE, sigma=3.0 * SURE))
     pose = upright(0.7, [2.0, GROUND, 20.0])
     down = pose[:3, :3].T @ known.ground.normal
     used = known.ground.height_sigma_at_depth(20.0) ** 2
@@ -173,7 +173,7 @@ def test_a_pose_is_as_unsure_as_the_ground_that_decides_it():
     decided[3:, 3:] = used * np.outer(down, down)
     found = known.considered(pose, decided)
     across = np.array([-1.0, 20.0, 2.0])
-    own = (0.35 * TOLD.height_sigma) ** 2 + (0.15 * TOLD.slope_sigma * 20.0) ** 2
+    own = (0.35 * GIVEN.height_sigma) ** 2 + (0.15 * GIVEN.slope_sigma * 20.0) ** 2
     assert down @ found[3:, 3:] @ down == pytest.approx(own + across @ known.covariance @ across, rel=0.05)
     assert down @ found[3:, 3:] @ down > 1.2 * used
     np.testing.assert_allclose(known.considered(pose, 1e-9 * np.eye(6)), 1e-9 * np.eye(6), atol=1e-12)
@@ -182,7 +182,7 @@ def test_a_pose_is_as_unsure_as_the_ground_that_decides_it():
 def test_vehicles_whose_errors_go_together_leave_the_ground_less_sure_and_in_place():
     pairs = [(Video(), 1.0), (Video(), 4.0)]
     for time in (0.0, 0.1, 0.2):
-        known = [later(road, time, TOLD, None, Saying(SLOPE, 3.0 * SURE, f)) for road, f in pairs]
+        known = [later(road, time, GIVEN, None, Saying(SLOPE, 3.0 * SURE, f)) for road, f in pairs]
     np.testing.assert_array_equal(known[0].ground.normal, known[1].ground.normal)
     assert known[0].ground.slope_sigma == known[1].ground.slope_sigma
     grown = np.diag(known[1].covariance) / np.diag(known[0].covariance)
@@ -203,7 +203,7 @@ def test_vehicles_tell_the_road(slope):
     assert (ground.distance - 20.0 * ground.normal[2]) / ground.normal[1] == pytest.approx(
         GROUND + 20.0 * slope, abs=0.15
     )
-    assert ground.slope_sigma < 0.6 * TOLD.slope_sigma
+    assert ground.slope_sigma < 0.6 * GIVEN.slope_sigma
 
 
 def test_a_vehicle_alone_is_a_single_image():
@@ -246,7 +246,7 @@ def test_where_nothing_is_told_vehicles_tell_where_it_is():
 def test_a_ground_that_nobody_told_may_change_fast():
     """A camera in a hand nods by three degrees; a mount of which somebody told would not."""
     slopes = []
-    for told in (None, TOLD):
+    for told in (None, GIVEN):
         road = Video()
         later(road, 0.0, told, None, Saying(np.zeros(3), poses=standing(GROUND)))
         slopes.append(slope_of(later(road, 0.1, told, None, Saying([0.0, 0.05, 0.0]))))
@@ -257,7 +257,7 @@ def test_a_ground_that_nobody_told_may_change_fast():
 def test_what_is_told_later_counts_at_once():
     road = Video()
     later(road, 0.0, None, None, Saying(np.zeros(3), poses=standing(3.0)))
-    assert later(road, 0.1, TOLD, None, Silent()).ground.distance == pytest.approx(GROUND)
+    assert later(road, 0.1, GIVEN, None, Silent()).ground.distance == pytest.approx(GROUND)
     untold = later(road, 0.2, None, None, Silent()).ground
     assert untold.distance == pytest.approx(GROUND), "and is remembered"
 
@@ -276,7 +276,7 @@ def test_another_camera_begins_anew_and_one_that_moved_sees_it_move():
     assert later(road, 0.4, None, upside_down, Silent()) is None
 
 
-def test_vehicles_on_one_road_are_better_placed_together_though_nothing_is_told():
+def test_vehicles_on_one_road_are_better_placed_together_though_nothing_is_reported():
     """A camera 2.5 m up that looks down by ten degrees, and cars of many sizes."""
     turn, errors = gtsam.Rot3.Rx(np.radians(10.0)).matrix(), {True: [], False: []}
     for seed in range(8):
@@ -294,11 +294,11 @@ def test_vehicles_on_one_road_are_better_placed_together_though_nothing_is_told(
     assert np.mean(errors[True]) < 0.85 * np.mean(errors[False])
 
 
-@pytest.mark.parametrize("given", [None, TOLD])
+@pytest.mark.parametrize("given", [None, GIVEN])
 def test_what_points_said_of_it_holds_for_a_while_without_points(given):
     banked = Ground(np.array([0.05, 1.0, -0.01]), 1.7, height_sigma=0.05, slope_sigma=0.006)
     video = Video()
-    later(video, 0.0, TOLD, None, Saying(SLOPE))
+    later(video, 0.0, GIVEN, None, Saying(SLOPE))
     first = later(video, 0.1, banked, None, Silent(), sensed=True).ground
     np.testing.assert_allclose(first.normal, banked.normal, atol=1e-9)
     between = later(video, 0.3, given, None, Silent()).ground
@@ -308,5 +308,5 @@ def test_what_points_said_of_it_holds_for_a_while_without_points(given):
     assert again.distance == pytest.approx(1.6, abs=0.01)
     much_later = later(video, 9.0, given, None, Silent())
     if given is not None:
-        np.testing.assert_allclose(much_later.ground.normal, TOLD.normal, atol=1e-9)
-        assert much_later.ground.slope_sigma == pytest.approx(TOLD.slope_sigma, rel=0.01)
+        np.testing.assert_allclose(much_later.ground.normal, GIVEN.normal, atol=1e-9)
+        assert much_later.ground.slope_sigma == pytest.approx(GIVEN.slope_sigma, rel=0.01)

@@ -124,7 +124,7 @@ def test_json_keeps_every_bit(seen):
     assert_same(result, Reconstruction.from_dict(json.loads(json.dumps(result.to_dict(), allow_nan=False))))
 
 
-def test_what_the_graph_did_is_told(seen):
+def test_what_the_graph_did_is_reported(seen):
     """The iterations of the graph and what they took off; documents of the first release, without either, are read."""
     result = solve(seen[0], ground=1.65)
     steps = [iteration for iteration in result.diagnostics.history if iteration.stage == "joint"]

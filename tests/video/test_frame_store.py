@@ -77,7 +77,7 @@ def test_what_is_not_looked_at_is_not_made_and_what_is_shared_is_kept_once(frame
     assert len(pickle.dumps(estimates[0])) > 20_000
 
 
-def test_a_full_disk_is_told(frames):
+def test_a_full_disk_is_reported(frames):
     store = FrameStore()
 
     def full(content):

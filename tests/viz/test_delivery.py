@@ -83,7 +83,7 @@ def test_a_file_that_cannot_be_written_is_told_and_leaves_nothing(example: Examp
     assert len(replay.read(tmp_path / "cars-car-0.rrd").history) == 3
 
 
-def test_an_error_while_it_is_put_in_its_place_is_told(
+def test_an_error_while_it_is_put_in_its_place_is_reported(
     example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(self: Path, target: Path) -> Path:

@@ -215,7 +215,7 @@ def test_single_images_are_as_good_as_a_drive_where_nothing_is_followed(drives, 
     assert "label_02.txt" in str(followed.exception)
 
 
-def test_a_detector_that_finds_nothing_of_what_is_labelled_is_told(drives, weights):
+def test_a_detector_that_finds_nothing_of_what_is_labelled_is_reported(drives, weights):
     done = run(drives[0], "--weights", weights, "--detect")
     assert isinstance(done.exception, InvalidInputError)
     assert (done.exception.field, done.exception.value) == ("drives", "one")

@@ -260,7 +260,7 @@ def test_three_points_give_every_pose_that_fits():
     assert {2, 4} <= counts <= {1, 2, 3, 4}
 
 
-def test_a_point_behind_the_camera_is_told():
+def test_a_point_behind_the_camera_is_reported():
     rng = np.random.default_rng(8)
     points = np.concatenate([rng.uniform(-1, 1, size=(9, 3)), [[0.2, 0.4, -6.0]]])
     pose = transform(np.eye(3), [0.1, 0.2, 4.0])
