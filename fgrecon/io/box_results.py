@@ -32,7 +32,7 @@ _CAR = "car"
 def boxes_from(given: Any) -> list[NamedBox] | None:
     """The vehicles among the boxes of an image; None where the object is none of these.
 
-    Those that are no vehicles are left out; where no class is told, all are cars.
+    Those that are no vehicles are left out; where no class is given, all are cars.
 
     Raises:
         InvalidInputError: An array has a wrong shape, or a number is not finite; names it.

@@ -180,10 +180,12 @@ def _posed(
 
 def _model(looked: Sequence[tuple[Observation, Camera, SolveSetup]], setup: SolveSetup) -> VehicleModel:
     """The vehicle's model: for the class that somebody says, else by its images where the fleet has vans."""
-    told = [one for one, _, _ in looked]
-    if setup.fits_classes and setup.classes_of(told) is None:
-        told = [fitted for one, camera, own in looked for fitted in with_fitted_classes([one], camera, own, own.ground)]
-    return setup.model_of(told)
+    known = [one for one, _, _ in looked]
+    if setup.fits_classes and setup.classes_of(known) is None:
+        known = [
+            fitted for one, camera, own in looked for fitted in with_fitted_classes([one], camera, own, own.ground)
+        ]
+    return setup.model_of(known)
 
 
 def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[Status, str]:

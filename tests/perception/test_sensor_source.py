@@ -71,11 +71,16 @@ def test_points_of_another_frame_are_refused_with_the_cause(folder: Path) -> Non
         fgrecon.reconstruct(np.full((14, 2), np.nan), camera, box=[500, 150, 700, 250], evidence=evidence)
 
 
-def test_a_right_image_makes_a_depth_map(tmp_path: Path) -> None:
+def _write_pair(left: Path, right: Path) -> None:
+    """An image of noise in either folder, 15 pixels apart."""
     texture = np.random.default_rng(0).integers(0, 255, (120, 320, 3), dtype=np.uint8)
-    for name, image in (("image_02", texture), ("image_03", np.roll(texture, -15, axis=1))):
-        (tmp_path / name).mkdir()
-        write_png(tmp_path / name / "000000.png", image)
+    for folder, image in ((left, texture), (right, np.roll(texture, -15, axis=1))):
+        folder.mkdir()
+        write_png(folder / "000000.png", image)
+
+
+def test_a_right_image_makes_a_depth_map(tmp_path: Path) -> None:
+    _write_pair(tmp_path / "image_02", tmp_path / "image_03")
     (tmp_path / "calib.txt").write_text("P2: 300 0 160 0 0 300 60 0 0 0 1 0\nP3: 300 0 160 -150 0 300 60 0 0 0 1 0\n")
     for source in (
         SensorSource(right=str(tmp_path / "image_03")),
@@ -88,10 +93,7 @@ def test_a_right_image_makes_a_depth_map(tmp_path: Path) -> None:
 
 
 def test_a_right_camera_may_have_files_of_its_own(tmp_path: Path) -> None:
-    texture = np.random.default_rng(0).integers(0, 255, (120, 320, 3), dtype=np.uint8)
-    for name, image in (("left", texture), ("right", np.roll(texture, -15, axis=1))):
-        (tmp_path / name).mkdir()
-        write_png(tmp_path / name / "000000.png", image)
+    _write_pair(tmp_path / "left", tmp_path / "right")
     (tmp_path / "pose.txt").write_text("1 0 0 -0.5 0 1 0 0 0 0 1 0")
     cameras = "".join(
         f"cam{i}:\n  camera_model: pinhole\n  distortion_model: radtan\n  distortion_coeffs: [0, 0, 0, 0]\n"
