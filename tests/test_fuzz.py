@@ -88,10 +88,10 @@ def test_what_is_wrong_with_a_command_is_reported(tmp_path):
     assert outcome("prior show nothing", tmp_path).fault is None
     assert outcome("prior show nothing", tmp_path).code == 2
     trace = "Traceback (most recent call last):\n  a\nValueError: b\n"
-    for code, said, memory, told in (
+    for code, said, memory, fault in (
         (1, trace, 10.0, "ValueError: b"),
         (-11, "", 0.0, "ExitCode: -11"),
         (0, "", 2000.0, "MemoryError: 2000 MiB"),
         (None, "", 0.0, "TimeoutError: 60 seconds"),
     ):
-        assert told in str(Outcome(code, said, memory, 60.0).fault)
+        assert fault in str(Outcome(code, said, memory, 60.0).fault)

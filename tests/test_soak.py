@@ -16,8 +16,8 @@ pytestmark = pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInp
 
 
 def soak(monkeypatch, out, problems):
-    told = ["soak", "--problems", str(problems), "--seed", "5", "--out", str(out)]
-    monkeypatch.setattr(sys, "argv", told)
+    arguments = ["soak", "--problems", str(problems), "--seed", "5", "--out", str(out)]
+    monkeypatch.setattr(sys, "argv", arguments)
     assert command.main() == 0
     found = json.loads((out / "soak-5.json").read_text())
     return {name: value for name, value in found.items() if name not in ("minutes", "slowest")}

@@ -45,7 +45,7 @@ def test_it_runs_and_shows_pictures(capsys):
             assert end._repr_png_().startswith(b"\x89PNG")
         else:
             assert "data:image/png;base64," in end._repr_html_()
-    told = capsys.readouterr().out
-    assert told.count("coefficient ") == 5
+    printed = capsys.readouterr().out
+    assert printed.count("coefficient ") == 5
     assert names["result"].status == "converged"
     assert names["lorry"].box_size == pytest.approx(names["box"].box_size([1.0, -0.5]), abs=0.5)

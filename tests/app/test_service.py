@@ -66,12 +66,12 @@ def test_a_given_box_is_used(client, sample):
 
 def test_health_and_what_it_says_of_itself(client):
     assert json.loads(client.get("/health")[2]) == {"status": "ok", "workers": 1, "waiting": 0}
-    told = json.loads(client.get("/openapi.json")[2])
-    assert told["openapi"].startswith("3.1")
+    description = json.loads(client.get("/openapi.json")[2])
+    assert description["openapi"].startswith("3.1")
     for name in SCHEMAS:
         assert json.loads(client.get(f"/schemas/{name}")[2]) == json.loads(schema(name))
     page = client.get("/")[2].decode()
-    for parameter in told["paths"]["/reconstruct"]["post"]["parameters"]:
+    for parameter in description["paths"]["/reconstruct"]["post"]["parameters"]:
         assert parameter["name"] in page
     assert "http://" not in page.replace("http://HOST", "")
     assert "https://" not in page
@@ -175,7 +175,7 @@ def test_a_length_that_is_a_lie_is_counted(client):
         connection.close()
 
 
-def test_more_than_may_wait_are_told_so_and_none_is_lost(client, sample):
+def test_more_than_may_wait_are_refused_and_none_is_lost(client, sample):
     body, answers = (sample / "street.png").read_bytes(), []
     ask = lambda: answers.append(client.post(body, "image/png", KITTI)[0])  # noqa: E731
     threads = [threading.Thread(target=ask) for _ in range(10)]

@@ -208,7 +208,7 @@ def test_a_line_that_is_being_written_is_another_row_once_it_is_whole(tmp_path):
     assert [row["row_id"] for row in rows_of(file)] == [f"{file}#{n}" for n in (1, 2, 3)]
 
 
-def test_frames_of_a_video_are_told_by_their_order_whatever_their_times(tmp_path):
+def test_frames_of_a_video_are_known_by_their_order_whatever_their_times(tmp_path):
     from fgrecon.batch.reconstructor import Pictures
 
     for file in (tmp_path / "uneven.mp4", tmp_path / "uneven.mkv"):
@@ -283,9 +283,9 @@ def test_decimals_are_numbers(cars, tmp_path):
         decimals[name] = pa.array(_decimals(column.to_pylist()), exact[name])
     pq.write_table(pa.table(decimals), tmp_path / "cars.parquet")
     (row,) = rows_of(tmp_path / "cars.parquet")
-    told = json.loads(row["instance"])
-    assert told["id"] == 5
-    np.testing.assert_allclose(told["keypoints"], cars[0]["keypoints"], atol=1e-9)
+    instance = json.loads(row["instance"])
+    assert instance["id"] == 5
+    np.testing.assert_allclose(instance["keypoints"], cars[0]["keypoints"], atol=1e-9)
     (solved,) = Reconstructor(camera=K)(pa.Table.from_pylist([row])).to_pylist()
     assert solved["status"] == "converged"
     (direct,) = Reconstructor(camera=K)(pa.table(decimals)).to_pylist()

@@ -91,12 +91,12 @@ def test_a_folder_is_for_one_content_of_the_files_that_settings_name(cars, tmp_p
 def test_edges_of_boxes_that_a_calibration_tells_are_settings(cars, tmp_path):
     file, _ = cars
     few = write_lines(tmp_path / "few.jsonl", file.read_text().splitlines()[:1])
-    told = []
+    calibrations = []
     for left in (0.0, 0.1):
         source = BoxSource(left, 0.0, 0.0, 0.0)
-        told.append(save_calibration(DetectorCalibration(boxes=source), tmp_path / f"{left}.json"))
-    assert batch(few, "--out", tmp_path / "out", "--calibration", told[0]).exit_code == 0
-    other = batch(few, "--out", tmp_path / "out", "--calibration", told[1])
+        calibrations.append(save_calibration(DetectorCalibration(boxes=source), tmp_path / f"{left}.json"))
+    assert batch(few, "--out", tmp_path / "out", "--calibration", calibrations[0]).exit_code == 0
+    other = batch(few, "--out", tmp_path / "out", "--calibration", calibrations[1])
     assert "other settings (boxes)" in str(other.exception)
 
 
@@ -334,11 +334,11 @@ def test_no_changed_byte_of_a_part_goes_unnoticed(tmp_path):
         changed = bytearray(content)
         changed[at] ^= 1 << int(rng.integers(8))
         path.write_bytes(changed)
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             done = parts.done()
-        noticed += bool(told)
-        assert told or (len(done) == 200 and list(parts.rows()) == rows)
+        noticed += bool(warned)
+        assert warned or (len(done) == 200 and list(parts.rows()) == rows)
     assert noticed > 50
 
 

@@ -49,8 +49,10 @@ def test_a_file_keeps_it_and_a_solve_uses_it(tmp_path):
     size = np.tile(seen.box[2:] - seen.box[:2], 2)
     moved = replace(seen, box=seen.box + EDGES * size / (1.0 - np.tile(EDGES[2:] - EDGES[:2], 2)))
     as_drawn = fgrecon.reconstruct(seen, CAMERA, options=fgrecon.Options(box="surface"))
-    told, untold = (fgrecon.reconstruct(moved, CAMERA, options=o) for o in (options, fgrecon.Options(box="surface")))
-    assert abs(told.location - as_drawn.location).max() < 0.3 * abs(untold.location - as_drawn.location).max()
+    fitted, unfitted = (
+        fgrecon.reconstruct(moved, CAMERA, options=o) for o in (options, fgrecon.Options(box="surface"))
+    )
+    assert abs(fitted.location - as_drawn.location).max() < 0.3 * abs(unfitted.location - as_drawn.location).max()
 
 
 @pytest.mark.data

@@ -53,7 +53,7 @@ def test_what_made_them_is_found():
 
 @pytest.mark.parametrize("where", ["everywhere", "at one factor"])
 def test_a_drive_without_a_vehicle_that_can_be_judged_is_no_part_of_the_test(where):
-    """Of a drive whose vehicles are all turned round, or only with some factors, nothing can be said."""
+    """Of a drive whose vehicles are all flipped, or only with some factors, nothing can be said."""
     scored = {factor: boxes(factor) for factor in FACTORS}
     for factor, some in scored.items():
         for box in some:
@@ -75,9 +75,9 @@ def test_an_end_of_what_was_tried_and_what_does_not_hold_are_said():
     )
     percent = " and ".join(f"{100 * wide.inside['yaw'][level]:.0f}" for level in SIGMAS)
     assert f", {percent} % of the yaws there." in left_out
-    told = wide.calibration.provenance
-    assert told["warnings"] == list(wide.warnings)
-    assert told["inside"]["yaw"] == {"0.68": wide.inside["yaw"][0.68], "0.95": wide.inside["yaw"][0.95]}
+    provenance = wide.calibration.provenance
+    assert provenance["warnings"] == list(wide.warnings)
+    assert provenance["inside"]["yaw"] == {"0.68": wide.inside["yaw"][0.68], "0.95": wide.inside["yaw"][0.95]}
     (narrow,) = fit_detector({factor: boxes(factor * 100.0) for factor in FACTORS}, {}).warnings
     assert narrow.startswith("common_factor 1 is the smallest")
     single = {factor: [box for box in boxes(factor) if box.drive == "a"] for factor in FACTORS}
@@ -90,7 +90,7 @@ def test_an_end_of_what_was_tried_and_what_does_not_hold_are_said():
     assert "facing_slope 0 is at an end of what was tried (0 to 10)." in fit_detector(turned, {}).warnings
 
 
-def test_without_a_vehicle_turned_round_the_facing_is_left():
+def test_without_a_flipped_vehicle_the_facing_is_left():
     found = fit_detector({factor: boxes(factor, 200, turns=False) for factor in FACTORS}, {})
     assert found.warnings[0] == "The facing's numbers are the default ones: no vehicle is flipped."
     default = fgrecon.KeypointOptions()

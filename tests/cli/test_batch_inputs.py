@@ -88,20 +88,20 @@ def test_names_that_the_user_tells(tmp_path):
     assert not (tmp_path / "none").exists()
 
 
-@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (1.2, True)])
-def test_boxes_that_are_all_too_large_are_told_of(tmp_path, factor, told):
+@pytest.mark.parametrize(("factor", "warned"), [(1.0, False), (1.2, True)])
+def test_boxes_that_are_all_too_large_are_reported(tmp_path, factor, warned):
     seen = [scaled(one, factor) for one in street(5, count=6)[1]]
     cars = [{"keypoints": one.keypoints.tolist(), "box": one.box.tolist(), "id": str(i)} for i, one in enumerate(seen)]
     (tmp_path / "cars.json").write_text(json.dumps({"K": CAMERA.matrix.tolist(), "instances": cars}))
     options = ["--camera-height", "1.65", "--size-prior", "kitti"]
     done = run("batch", tmp_path / "cars.json", "--out", tmp_path / "out", *options)
     assert done.exit_code == 0, done.output
-    assert ("larger than their vehicles look" in " ".join(done.output.split())) == told
+    assert ("larger than their vehicles look" in " ".join(done.output.split())) == warned
     excesses = pq.read_table(tmp_path / "out").column("box_excess").to_pylist()
-    assert (np.median(excesses) > 0.05) == told
+    assert (np.median(excesses) > 0.05) == warned
 
 
-def test_one_is_told_as_one(tmp_path):
+def test_one_is_reported_as_one(tmp_path):
     (file := tmp_path / "one.json").write_text(json.dumps([car() | {"frame": 0}]))
     said = " ".join(run("batch", file, INTRINSICS, "--out", tmp_path / "out").stdout.split())
     assert "1 of 1 row is done, 0 of them before." in said
@@ -109,8 +109,8 @@ def test_one_is_told_as_one(tmp_path):
     assert "1 frame, 1 car, 1 estimate, " in said
 
 
-@pytest.mark.parametrize(("cars", "images", "told"), [(1, 1, "1 car of 1 frame"), (5, 2, "5 cars of 2 frames")])
-def test_the_cars_that_tell_the_camera_are_counted(monkeypatch, cars, images, told):
+@pytest.mark.parametrize(("cars", "images", "counted"), [(1, 1, "1 car of 1 frame"), (5, 2, "5 cars of 2 frames")])
+def test_the_cars_that_tell_the_camera_are_counted(monkeypatch, cars, images, counted):
     from fgrecon.video import video_job
     from fgrecon.video.focal import EstimatedCamera
 
@@ -119,7 +119,7 @@ def test_the_cars_that_tell_the_camera_are_counted(monkeypatch, cars, images, to
     said = []
     settings = SimpleNamespace(arguments=dict)
     assert video_job._estimated_camera(None, None, settings, CAMERA, said.append) is CAMERA
-    assert told in said[0]
+    assert counted in said[0]
 
 
 def test_a_pipe_is_refused_before_the_folder_is_begun(tmp_path):

@@ -28,10 +28,10 @@ def test_a_drive_calibrates_the_network_and_a_solve_uses_it(data, tmp_path):
     assert fitted.provenance["drives"] == ["kitti_tracking_0001"]
     assert run("sample", "--out", tmp_path / "sample", "-q").exit_code == 0
     street = ("reconstruct", tmp_path / "sample" / "street.png", "--boxes", tmp_path / "sample" / "boxes.txt")
-    told = ("--calib", tmp_path / "sample" / "calib.txt", "--camera-height", 1.65, "--json", "-")
+    given = ("--calib", tmp_path / "sample" / "calib.txt", "--camera-height", 1.65, "--json", "-")
     wide = tmp_path / "wide.json"
     wide.write_text(json.dumps(json.loads(out.read_text()) | {"common_factor": 300.0}))
-    plain, changed = (json.loads(run(*street, *told, *more).stdout) for more in ((), ("--calibration", wide)))
+    plain, changed = (json.loads(run(*street, *given, *more).stdout) for more in ((), ("--calibration", wide)))
     assert "keypoints" not in plain["settings"]
     assert changed["settings"]["keypoints"]["common_factor"] == 300.0
     for first, second in zip(plain["instances"], changed["instances"], strict=True):

@@ -123,10 +123,18 @@ def test_the_help_imports_nothing_heavy(words):
 
 def test_progress_is_shown_when_asked_for_and_never_when_quiet(tmp_path):
     assert CliRunner().invoke(app, ["sample", "--out", str(tmp_path), "--quiet"]).output == ""
-    told = ["evaluate", "tracks", str(tmp_path / "TRACK.json"), "--method", "epnp", "--json", str(tmp_path / "r.json")]
-    shown = CliRunner().invoke(app, [*told, "--progress"], env={"TERM": "xterm", "FORCE_COLOR": "1"})
+    arguments = [
+        "evaluate",
+        "tracks",
+        str(tmp_path / "TRACK.json"),
+        "--method",
+        "epnp",
+        "--json",
+        str(tmp_path / "r.json"),
+    ]
+    shown = CliRunner().invoke(app, [*arguments, "--progress"], env={"TERM": "xterm", "FORCE_COLOR": "1"})
     assert re.search(r"Frames.*8/8", shown.stderr), shown.stderr
-    assert "Frames" not in CliRunner().invoke(app, told).stderr
-    quiet = CliRunner().invoke(app, [*told, "--progress", "--quiet"])
+    assert "Frames" not in CliRunner().invoke(app, arguments).stderr
+    quiet = CliRunner().invoke(app, [*arguments, "--progress", "--quiet"])
     assert quiet.output == ""
     assert (tmp_path / "r.json").exists()

@@ -112,7 +112,7 @@ def test_no_thread_waits_for_large_matrices_unless_somebody_wants_some(monkeypat
     assert os.environ.get("OPENBLAS_NUM_THREADS") == expected
 
 
-def test_a_reader_that_has_gone_is_told_as_ever():
+def test_a_reader_that_has_gone_is_an_error_as_ever():
     program = "from fgrecon.cli import entry; entry.main = lambda: print('x' * 10); entry.run()"
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None

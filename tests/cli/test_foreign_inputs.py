@@ -12,7 +12,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export import read_results
 from fgrecon.io.images import write_png
 from tests.command_line import run
-from tests.io.formats import CATEGORY, flat, in_scheme, our_record, told_by
+from tests.io.formats import CATEGORY, flat, given_by, in_scheme, our_record
 from tests.io.test_cameras import nuscenes, ros, waymo
 
 from .conftest import INTRINSICS, K, car
@@ -61,7 +61,7 @@ def test_names_that_nobody_knows(write):
 
 def test_a_track_of_openpifpaf_predictions(write):
     predictions = [{"keypoints": flat(in_scheme(POINTS, "apollo24"), 0.5)} for _ in range(2)]
-    ours = [our_record(told_by("apollo24", POINTS), 0.5) for _ in range(2)]
+    ours = [our_record(given_by("apollo24", POINTS), 0.5) for _ in range(2)]
     assert solved("track", write(predictions, "a.json"), INTRINSICS) == solved(
         "track", write(ours, "b.json"), INTRINSICS
     )

@@ -84,13 +84,13 @@ def test_an_image_is_reconstructed_with_a_warning_about_the_camera(street, weigh
     assert entry["camera"]["image_size"] == [160, 100]
     assert 0.0 < entry["camera"]["focal_sigma"] <= 0.5
     assert json.loads(done.stdout)["scenes"][0]["focal_lengths"][0]["excess"] == 0.0
-    told = run(
+    with_camera = run(
         *("reconstruct", image, "--boxes", street / "label_2" / "000001.txt", "--weights", weights),
         *("--calib", street / "calib" / "000001.txt", "--json", "-", "--picture", street / "p.png"),
     )
-    assert told.exit_code == 0, told.output
-    assert "focal length" not in told.stderr
-    assert [entry["id"] for entry in json.loads(told.stdout)["instances"]] == ["1"]
+    assert with_camera.exit_code == 0, with_camera.output
+    assert "focal length" not in with_camera.stderr
+    assert [entry["id"] for entry in json.loads(with_camera.stdout)["instances"]] == ["1"]
     assert (street / "p.png").exists()
 
 

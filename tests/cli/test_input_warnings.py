@@ -46,18 +46,18 @@ def test_nothing_is_said_of_keypoints_that_fit(tmp_path, cars):
 
 
 def test_parts_of_an_image_are_no_pixels(tmp_path, cars):
-    told = warnings(tmp_path, cars, lambda points: points / [1242, 375])
-    assert "All keypoints of car-1, car-2, car-3 are between 0 and 1" in told
+    printed = warnings(tmp_path, cars, lambda points: points / [1242, 375])
+    assert "All keypoints of car-1, car-2, car-3 are between 0 and 1" in printed
     normalised = np.diag([1 / 721.5, 1 / 721.5, 1]) @ K
     normalised[:2, 2] = 0.0
-    told = warnings(tmp_path, cars[:1], lambda p: np.clip((p - p[0]) / 721.5, 0, 1), normalised.tolist(), None)
-    assert "between 0 and 1" not in told  # a camera whose pixels are these
+    printed = warnings(tmp_path, cars[:1], lambda p: np.clip((p - p[0]) / 721.5, 0, 1), normalised.tolist(), None)
+    assert "between 0 and 1" not in printed  # a camera whose pixels are these
 
 
 @pytest.mark.parametrize("size", [None, (1242, 375)])
 def test_swapped_axes(tmp_path, cars, size):
-    told = warnings(tmp_path, cars, lambda points: points[:, ::-1], size=size)
-    assert "Most keypoints of car-1, car-2 are beside the 2D box" in told  # car-3 is where u is v
+    printed = warnings(tmp_path, cars, lambda points: points[:, ::-1], size=size)
+    assert "Most keypoints of car-1, car-2 are beside the 2D box" in printed  # car-3 is where u is v
 
 
 def test_images_of_a_track(tmp_path, cars):
@@ -157,24 +157,24 @@ def said_by(*arguments):
     return " ".join(run(*arguments).stderr.split())
 
 
-@pytest.mark.parametrize(("change", "told"), CHANGES)
-def test_of_many_it_is_told_once_with_their_number(tmp_path, many, change, told):
+@pytest.mark.parametrize(("change", "warning"), CHANGES)
+def test_of_many_it_is_reported_once_with_their_number(tmp_path, many, change, warning):
     said = said_by("batch", many(change), "--out", tmp_path / "out", "--jobs", 1, "--size-prior", "apollo79")
-    if told is None:
+    if warning is None:
         assert "Warning" not in said
         assert pq.read_table(tmp_path / "out").column("input_warning").null_count == 9
     else:
-        assert said.count(told) == 1
+        assert said.count(warning) == 1
         assert said.count("Warning") == 1
 
 
-@pytest.mark.parametrize(("change", "told"), CHANGES)
-def test_of_a_video_too(tmp_path, many, change, told):
+@pytest.mark.parametrize(("change", "warning"), CHANGES)
+def test_of_a_video_too(tmp_path, many, change, warning):
     said = said_by("run", many(change), "--out", tmp_path / "out", "--fps", 10, "--size-prior", "apollo79")
-    if told is None:
+    if warning is None:
         assert "keypoint" not in said
     else:
-        assert said.count(told.partition("v0")[0]) == 1
+        assert said.count(warning.partition("v0")[0]) == 1
         assert " in " in said
         assert " more " in said
 
@@ -189,13 +189,13 @@ def test_of_a_hundred_thousand_three_names_are_kept():
 
 
 def test_boxes_of_another_kind(tmp_path, cars):
-    told = warnings(tmp_path, cars, lambda points: points, box=lambda box: box - [300, 0, 300, 0], size=None)
-    assert "are beside the 2D box" in told
+    printed = warnings(tmp_path, cars, lambda points: points, box=lambda box: box - [300, 0, 300, 0], size=None)
+    assert "are beside the 2D box" in printed
 
 
 def test_another_image(tmp_path, cars):
-    told = warnings(tmp_path, cars[:1], lambda points: points + 1500, box=lambda box: box + 1500, size=(1242, 375))
-    assert "Most keypoints of car-1 are far outside of the image" in told
+    printed = warnings(tmp_path, cars[:1], lambda points: points + 1500, box=lambda box: box + 1500, size=(1242, 375))
+    assert "Most keypoints of car-1 are far outside of the image" in printed
 
 
 def test_another_order(tmp_path, cars):

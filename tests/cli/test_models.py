@@ -29,11 +29,11 @@ def models(tmp_path_factory):
     return folder
 
 
-def test_the_closest_model_is_told_drawn_and_recorded(models, write, tmp_path):
+def test_the_closest_model_is_printed_drawn_and_recorded(models, write, tmp_path):
     cars = write({"instances": [car() | {"id": "one"}, car(yaw=1.0) | {"id": "two"}]})
     out, picture, recording = tmp_path / "out.json", tmp_path / "cars.png", tmp_path / "cars.rrd"
-    told = ("--models", models, "--json", out, "--picture", picture, "--save", recording)
-    done = run("reconstruct", cars, INTRINSICS, "--no-free-offsets", *told)
+    options = ("--models", models, "--json", out, "--picture", picture, "--save", recording)
+    done = run("reconstruct", cars, INTRINSICS, "--no-free-offsets", *options)
     assert done.exit_code == 0, done.output
     assert "one: closest model mean" in done.stdout
     content = json.loads(out.read_text())

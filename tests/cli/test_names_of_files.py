@@ -56,9 +56,9 @@ def test_results_name_the_file_they_are_of(folder):
 
 def test_a_recording_is_written_and_read_again(folder):
     run("reconstruct", f"{BAD}.json", INTRINSICS, "--save", f"{BAD}.rrd", "-q")
-    told = json.loads(run("replay", f"{BAD}.rrd", "--json", "-").stdout)
-    assert told["recording"] == f"{WRITTEN}.rrd"
-    assert told["stages"]
+    summary = json.loads(run("replay", f"{BAD}.rrd", "--json", "-").stdout)
+    assert summary["recording"] == f"{WRITTEN}.rrd"
+    assert summary["stages"]
 
 
 def test_a_batch_reads_and_writes_and_goes_on(folder, instance):

@@ -71,8 +71,8 @@ def test_an_output_that_is_an_input_is_refused_before_the_work(files, monkeypatc
 
 def test_results_do_not_go_over_boxes_of_a_folder(files):
     (files / "inside" / "st.json").write_text("[]")
-    told = refused("reconstruct", files / "st.png", "--boxes", files / "inside", "--out", files / "inside")
-    assert "st.json" in told
+    message = refused("reconstruct", files / "st.png", "--boxes", files / "inside", "--out", files / "inside")
+    assert "st.json" in message
     assert (files / "inside" / "st.json").read_text() == "[]"
 
 

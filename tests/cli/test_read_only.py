@@ -45,8 +45,8 @@ def given():
         done = CliRunner().invoke(app, ["sample", "--out", str(place / "sample"), "-q"])
         assert done.exit_code == 0, done.output
         sample = place / "sample"
-        told = [str(sample / "cars.json"), "--json", str(sample / "result.json"), "-q"]
-        assert CliRunner().invoke(app, ["reconstruct", *told]).exit_code == 0
+        arguments = [str(sample / "cars.json"), "--json", str(sample / "result.json"), "-q"]
+        assert CliRunner().invoke(app, ["reconstruct", *arguments]).exit_code == 0
         rng = np.random.default_rng(0)
         np.savez(sample / "a.npz", keypoints_uv=rng.uniform(0, 100, (9, 14, 2)))
         (place / "closed").mkdir()
@@ -115,8 +115,8 @@ def as_ordinary_user(arguments):
 
 def test_read_only_folders_are_one_clear_line(given):
     sample, closed = given
-    told = commands(sample, closed)
-    ended = dict(zip(told, as_ordinary_user(list(told.values())), strict=True))
+    named = commands(sample, closed)
+    ended = dict(zip(named, as_ordinary_user(list(named.values())), strict=True))
     for name, (code, complaint) in ended.items():
         assert code == 2, (name, code, complaint)
         lines = [line for line in complaint.splitlines() if not line.startswith("Warning: ")]

@@ -65,13 +65,13 @@ def test_json_stands_alone_on_the_output_and_is_a_whole_result(write, instance):
 
 
 def test_the_side_of_the_traffic_is_a_setting(write, instance):
-    told = run(write(instance), INTRINSICS, "--traffic", "right", "--json", "-")
-    assert told.exit_code == 0, told.output
-    assert json.loads(told.stdout)["settings"]["traffic"] == "right"
-    check("results", json.loads(told.stdout))
-    untold = run(write(instance), INTRINSICS, "--json", "-")
-    assert "traffic" not in json.loads(untold.stdout)["settings"]
-    assert results(untold.stdout)["0"]["result"]["energies"] == results(told.stdout)["0"]["result"]["energies"]
+    given = run(write(instance), INTRINSICS, "--traffic", "right", "--json", "-")
+    assert given.exit_code == 0, given.output
+    assert json.loads(given.stdout)["settings"]["traffic"] == "right"
+    check("results", json.loads(given.stdout))
+    without = run(write(instance), INTRINSICS, "--json", "-")
+    assert "traffic" not in json.loads(without.stdout)["settings"]
+    assert results(without.stdout)["0"]["result"]["energies"] == results(given.stdout)["0"]["result"]["energies"]
     refused = run(write(instance), INTRINSICS, "--traffic", "middle")
     assert refused.exit_code == 2
     assert "right" in refused.output
@@ -94,12 +94,12 @@ def test_several_processes_give_the_same_results(write, tmp_path):
     cars = [car(0.3 * i, (0.4 * i - 2, 1.65, 9.0 + i)) | {"id": f"car {i}"} for i in range(10)]
     cars[3]["box"], cars[6]["keypoints"] = [5, 5, 5, 9], [None] * 14
     file = write({"K": K.tolist(), "instances": cars})
-    told = [json.loads(run(file, "--json", "-", "--jobs", jobs).stdout)["instances"] for jobs in (1, 2)]
-    for entry in (*told[0], *told[1]):
+    found = [json.loads(run(file, "--json", "-", "--jobs", jobs).stdout)["instances"] for jobs in (1, 2)]
+    for entry in (*found[0], *found[1]):
         (entry["result"] or {}).pop("milliseconds", None)
-    assert told[0] == told[1]
-    assert told[1][3]["error"]["field"] == "box"
-    assert told[1][6]["error"]["type"] == "DegenerateProblemError"
+    assert found[0] == found[1]
+    assert found[1][3]["error"]["field"] == "box"
+    assert found[1][6]["error"]["type"] == "DegenerateProblemError"
 
 
 def test_pictures_and_recordings(write, tmp_path):
@@ -119,17 +119,17 @@ def test_pictures_and_recordings(write, tmp_path):
 
 def test_a_picture_is_the_scene_unless_a_sheet_is_asked_for(write, tmp_path):
     cars = [car() | {"id": "a"}, car(1.0, [2.0, 1.65, 14.0]) | {"id": "a name that is long"}]
-    file, told = write(cars), [INTRINSICS, "--camera-height", 1.65]
+    file, given = write(cars), [INTRINSICS, "--camera-height", 1.65]
     sizes = {}
     for name, more in {"scene": [], "sheet": ["--sheet"], "together": ["--together"]}.items():
         picture = tmp_path / f"{name}.png"
-        assert run(file, *told, *more, "--picture", picture).exit_code == 0
+        assert run(file, *given, *more, "--picture", picture).exit_code == 0
         sizes[name] = read_image(picture).shape
     assert sizes["scene"][1] == sizes["together"][1] > 1200  # 8 cm, fine enough for the photograph
     assert sizes["sheet"] != sizes["scene"]
     several = [one | {"image": f"{number}.png"} for number, one in enumerate(cars)]
     picture = tmp_path / "several.png"
-    assert run(write(several, "several.json"), *told, "--picture", picture).exit_code == 0
+    assert run(write(several, "several.json"), *given, "--picture", picture).exit_code == 0
     assert read_image(picture).shape == sizes["sheet"]  # they have no image in common
     assert "--picture" in str(run(file, INTRINSICS, "--sheet").exception)
 
@@ -291,7 +291,7 @@ def test_an_image_that_is_none_and_one_of_another_size(write, instance, tmp_path
     assert run(sized, "--image", small).exception.field == "image"
 
 
-def test_when_all_are_refused_the_first_reason_is_told_and_the_json_is_written(write, tmp_path):
+def test_when_all_are_refused_the_first_reason_is_printed_and_the_json_is_written(write, tmp_path):
     nothing = [None] * 14
     file = write([car() | {"id": "a", "keypoints": nothing}, car() | {"id": "b", "keypoints": nothing}])
     out = tmp_path / "out.json"
@@ -328,11 +328,11 @@ def test_the_table_has_a_few_words_and_verbose_has_all_of_them(write, monkeypatc
     assert re.search(r"^a: The solver was stopped early *$", shown.stdout, re.MULTILINE)
     assert re.search(r"^b: box: ", shown.stdout, re.MULTILINE)
     assert max(map(len, shown.stdout.splitlines())) <= 80
-    told = run(file, INTRINSICS, "-v")
-    assert f"a: {long}" in told.stdout
-    assert "energies (nats): reprojection" in told.stdout
-    assert "times (ms): pose" in told.stdout
-    assert "b: box: got" in told.stdout
+    verbose = run(file, INTRINSICS, "-v")
+    assert f"a: {long}" in verbose.stdout
+    assert "energies (nats): reprojection" in verbose.stdout
+    assert "times (ms): pose" in verbose.stdout
+    assert "b: box: got" in verbose.stdout
     documents = results(run(file, INTRINSICS, "--json", "-").stdout)
     assert documents["a"]["result"]["message"] == long
 
@@ -340,8 +340,8 @@ def test_the_table_has_a_few_words_and_verbose_has_all_of_them(write, monkeypatc
 def test_every_file_is_said(write, tmp_path):
     image = write_png(tmp_path / "i.png", np.zeros((375, 1242, 3), np.uint8))
     names = {"--json": "r.json", "--picture": "p.png", "--save": "s.rrd"}
-    told = [part for option, name in names.items() for part in (option, tmp_path / name)]
-    done = run(write(car()), INTRINSICS, "--image", image, *told)
+    outputs = [part for option, name in names.items() for part in (option, tmp_path / name)]
+    done = run(write(car()), INTRINSICS, "--image", image, *outputs)
     assert done.stdout.splitlines()[-3:] == [f"Wrote {tmp_path / name}." for name in names.values()]
 
 
@@ -383,14 +383,14 @@ def test_a_real_track(data):
 
 
 def test_kind_and_score_of_a_detector_come_back_in_exports(write, instance, tmp_path):
-    told = {"instances": [{**instance, "id": "a", "kind": "Van", "score": 0.25}, {**instance, "id": "b"}]}
+    given = {"instances": [{**instance, "id": "a", "kind": "Van", "score": 0.25}, {**instance, "id": "b"}]}
     out = tmp_path / "out.json"
-    assert run(write(told), INTRINSICS, "--json", out).exit_code == 0
+    assert run(write(given), INTRINSICS, "--json", out).exit_code == 0
     first, second = json.loads(out.read_text())["instances"]
     assert (first["kind"], first["score"]) == ("Van", 0.25)
     assert not {"kind", "score"} & set(second)
     batched = tmp_path / "batch"
-    again = CliRunner().invoke(main.app, ["batch", str(write(told)), INTRINSICS, "--out", str(batched)])
+    again = CliRunner().invoke(main.app, ["batch", str(write(given)), INTRINSICS, "--out", str(batched)])
     assert again.exit_code == 0
     for results, kinds in ((out, ["Van", "Car"]), (batched, ["Van", "Car"])):
         exported = CliRunner().invoke(main.app, ["export", str(results), str(tmp_path / "kitti.txt")])

@@ -29,16 +29,16 @@ def street(tmp_path_factory):
 
 
 def test_each_has_a_results_file(street, tmp_path):
-    told = ("--boxes", street / "boxes", "--calib", street / "sample" / "calib.txt", "--camera-height", 1.65)
+    given = ("--boxes", street / "boxes", "--calib", street / "sample" / "calib.txt", "--camera-height", 1.65)
     prior = load_prior("car14")
     mesh = trimesh.Trimesh(prior.surface.mean, prior.surface.faces, process=False).export(file_type="ply")
     (street / "mean.ply").write_bytes(mesh)
-    told_more = ("--out", tmp_path, "--pictures", "--models", street / "mean.ply")
-    done = run("reconstruct", street / "images", *told, *told_more)
+    outputs = ("--out", tmp_path, "--pictures", "--models", street / "mean.ply")
+    done = run("reconstruct", street / "images", *given, *outputs)
     assert done.exit_code == 0, done.output
     assert "6 vehicles in 2 of 2 images" in done.stdout
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.json", "a.png", "b.json", "b.png"]
-    single = run("reconstruct", street / "images" / "a.png", *told, "--json", "-")
+    single = run("reconstruct", street / "images" / "a.png", *given, "--json", "-")
     first, alone = json.loads((tmp_path / "a.json").read_text()), json.loads(single.stdout)
     assert {one["closest_model"]["name"] for one in first["instances"]} == {"mean"}
     assert [one["location"] for one in first["instances"]] == [one["location"] for one in alone["instances"]]
@@ -49,8 +49,8 @@ def test_a_bad_one_does_not_stop_the_others(street, tmp_path):
     bad.write_bytes(b"no image")
     shutil.copy(street / "images" / "a.png", tmp_path / "a.png")
     out = tmp_path / "out"
-    told = ("--boxes", street / "boxes", "--calib", street / "sample" / "calib.txt", "--out", out)
-    done = run("reconstruct", bad, street / "images" / "a.png", tmp_path / "a.png", *told, "-q")
+    options = ("--boxes", street / "boxes", "--calib", street / "sample" / "calib.txt", "--out", out)
+    done = run("reconstruct", bad, street / "images" / "a.png", tmp_path / "a.png", *options, "-q")
     assert done.exit_code == 1
     assert str(bad) in done.stderr
     assert sorted(path.name for path in out.iterdir()) == ["a-2.json", "a.json"]
@@ -84,10 +84,10 @@ def test_a_part_of_a_photograph_has_the_camera_of_the_whole(street, tmp_path):
     for line in lines:
         line[4:8] = [str(float(value) - off) for value, off in zip(line[4:8], (left, top, left, top), strict=True)]
     (tmp_path / "a.txt").write_text("\n".join(" ".join(line) for line in lines))
-    told = ("--calib", street / "sample" / "calib.txt", "--camera-height", 1.65, "--json", "-")
-    all_of_it = run("reconstruct", whole, "--boxes", street / "boxes" / "a.txt", *told)
+    given = ("--calib", street / "sample" / "calib.txt", "--camera-height", 1.65, "--json", "-")
+    all_of_it = run("reconstruct", whole, "--boxes", street / "boxes" / "a.txt", *given)
     part = ("reconstruct", tmp_path / "a.png", "--boxes", tmp_path / "a.txt")
-    cut = run(*part, "--crop", f"{left},{top},{width},{height}", *told)
+    cut = run(*part, "--crop", f"{left},{top},{width},{height}", *given)
     found = [[one["location"] for one in json.loads(done.stdout)["instances"]] for done in (all_of_it, cut)]
     assert len(found[0]) == len(found[1]) > 1
     assert all(
@@ -95,7 +95,7 @@ def test_a_part_of_a_photograph_has_the_camera_of_the_whole(street, tmp_path):
         for here, there in zip(*found, strict=True)
         for a, b in zip(here, there, strict=True)
     )
-    for crop, camera in ((f"{left},{top}", ()), (f"{left + 1},{top},{width},{height}", told)):
+    for crop, camera in ((f"{left},{top}", ()), (f"{left + 1},{top},{width},{height}", given)):
         refused = run(*part, "--crop", crop, *camera)
         assert isinstance(refused.exception, InvalidInputError)
         assert refused.exception.field == "crop"
@@ -157,8 +157,8 @@ def test_another_size_is_another_camera(street, tmp_path):
     (tmp_path / "boxes").mkdir()
     for name in ("a", "small"):
         shutil.copy(street / "boxes" / "a.txt", tmp_path / "boxes" / f"{name}.txt")
-    told = ("--boxes", tmp_path / "boxes", "--same-camera", "--out", tmp_path / "out", "-q")
-    done = run("reconstruct", street / "images" / "a.png", tmp_path / "small.png", *told)
+    options = ("--boxes", tmp_path / "boxes", "--same-camera", "--out", tmp_path / "out", "-q")
+    done = run("reconstruct", street / "images" / "a.png", tmp_path / "small.png", *options)
     assert done.exit_code == 1
     assert "small.png" in done.stderr
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["a.json"]

@@ -42,10 +42,10 @@ def true_labels():
 
 
 def test_the_samples_boxes_are_refined(sample, tmp_path):
-    out, told = tmp_path / "refined.txt", tmp_path / "refined.json"
+    out, report = tmp_path / "refined.txt", tmp_path / "refined.json"
     boxes = tmp_path / "boxes.txt"
     boxes.write_text((sample / "detections.txt").read_text() + CARE + "\n")
-    done = run("refine", boxes, sample / "street.png", "--calib", sample / "calib.txt", "--out", out, "--json", told)
+    done = run("refine", boxes, sample / "street.png", "--calib", sample / "calib.txt", "--out", out, "--json", report)
     assert done.exit_code == 0, done.output
     assert "3 of 3 boxes in 1 image were refined" in done.stdout
     before, after = read_box_lines(boxes), read_box_lines(out)
@@ -54,7 +54,7 @@ def test_the_samples_boxes_are_refined(sample, tmp_path):
     for old, new in zip(before[:3], after[:3], strict=True):
         assert (new.score, new.corners.tolist()) == (old.score, old.corners.tolist())
         assert not np.array_equal(new.location, old.location)
-    content = json.loads(told.read_text())
+    content = json.loads(report.read_text())
     assert content["format"] == "fgrecon.refined-boxes/1"
     assert content["settings"]["box_errors"]["depth"] == 0.06
     (image,) = content["images"]

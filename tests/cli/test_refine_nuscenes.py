@@ -119,9 +119,9 @@ def sample(tmp_path_factory):
 
 
 def test_a_submission_gives_the_boxes_that_kittis_lines_give(sample, tmp_path):
-    out, told = tmp_path / "refined.json", tmp_path / "told.json"
+    out, report = tmp_path / "refined.json", tmp_path / "report.json"
     boxes, tables = sample / "boxes.json", sample / "v1.0-made-up"
-    done = run("refine", boxes, sample / "images", "--camera", tables, "--out", out, "--json", told)
+    done = run("refine", boxes, sample / "images", "--camera", tables, "--out", out, "--json", report)
     assert done.exit_code == 0, done.output
     kitti = run(
         *("refine", sample / "boxes.txt", sample / "sample" / "street.png", "--out", tmp_path / "refined.txt"),
@@ -143,7 +143,7 @@ def test_a_submission_gives_the_boxes_that_kittis_lines_give(sample, tmp_path):
         assert turn == pytest.approx(1.0, abs=1e-5)
         kept = ("velocity", "detection_score", "attribute_name", "sample_token", "detection_name")
         assert {name: new[name] for name in kept} == {name: old[name] for name in kept}
-    front, back = json.loads(told.read_text())["images"]
+    front, back = json.loads(report.read_text())["images"]
     assert (front["image"], back["image"], back["boxes"]) == ("street", "behind", [])
     assert [box["index"] for box in front["boxes"]] == [1, 2, 3]
     assert {box["sample_token"] for box in front["boxes"]} == {"sample-1"}

@@ -181,16 +181,16 @@ def test_spawn_starts_a_viewer_and_sends_there(write, instance, monkeypatch):
     assert sent == [("scene", "127.0.0.1:1234")]
 
 
-def test_a_scene_is_told_vehicle_by_vehicle(tmp_path):
+def test_a_scene_is_summarised_vehicle_by_vehicle(tmp_path):
     car = make_example()
     sights = [
         SolvedVehicle(car.reconstruction, car.observation, car.camera, title=title) for title in ("left", "right")
     ]
-    scene, told = scene_recording_of(sights).write(tmp_path / "scene.rrd"), tmp_path / "told.json"
-    done = run("replay", scene, "--summary", "--json", told)
+    scene, summary = scene_recording_of(sights).write(tmp_path / "scene.rrd"), tmp_path / "summary.json"
+    done = run("replay", scene, "--summary", "--json", summary)
     assert done.exit_code == 0
     assert [line for line in done.stdout.splitlines() if line.endswith(":")] == ["left:", "right:", "All 2 vehicles:"]
-    document = json.loads(told.read_text())
+    document = json.loads(summary.read_text())
     assert list(document["vehicles"]) == ["left", "right"]
     alone, together = document["vehicles"]["left"]["stages"], document["stages"]
     assert [stage["steps"] for stage in together] == [2 * stage["steps"] for stage in alone]

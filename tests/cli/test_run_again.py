@@ -58,7 +58,7 @@ def renamed(images, names):
 
 
 @pytest.mark.parametrize(
-    ("before", "added", "told"),
+    ("before", "added", "reasons"),
     [
         (["000004.png", "000005.png"], "000003.png", ("frame 4 (000004.png)", "frame 3 (000003.png)")),
         (["a.png", "c.png"], "b.png", ("frame 1 (c.png)", "frame 1 (b.png)")),
@@ -66,7 +66,7 @@ def renamed(images, names):
         (["1.png", "2.png"], "x.png", ("frame 1 (1.png)", "frame 0 (1.png)")),
     ],
 )
-def test_frames_are_added_after_the_last_one_alone(drive, tmp_path, before, added, told):
+def test_frames_are_added_after_the_last_one_alone(drive, tmp_path, before, added, reasons):
     images, file = drive
     content = json.loads(file.read_text())
     content["instances"] += [
@@ -80,7 +80,7 @@ def test_frames_are_added_after_the_last_one_alone(drive, tmp_path, before, adde
     later.rename(images / added)
     refused = run(*asked)
     assert refused.exception.field == "out"
-    assert [part in refused.exception.fix for part in told] == [True, True], refused.exception
+    assert [part in refused.exception.fix for part in reasons] == [True, True], refused.exception
     assert "after the last" in refused.exception.fix
 
 
@@ -149,7 +149,7 @@ def test_a_film_is_drawn_while_frames_come_where_estimates_stay(drive, tmp_path,
     """It is the one that is drawn afterwards; and afterwards it is where frames were looked at before."""
     av = pytest.importorskip("av", reason="PyAV is not installed: pip install fgrecon[video]")
     images, file = drive
-    told = (images, "--tracks", file, *FPS, way)
+    arguments = (images, "--tracks", file, *FPS, way)
 
     def pictures(film):
         with av.open(str(film)) as container:
@@ -157,11 +157,14 @@ def test_a_film_is_drawn_while_frames_come_where_estimates_stay(drive, tmp_path,
 
     with monkeypatch.context() as patched:
         patched.setattr("fgrecon.cli.run_report.film", pytest.fail)
-        done = run(*told, "--out", tmp_path / "out", "--video", live := tmp_path / "live.mp4")
+        done = run(*arguments, "--out", tmp_path / "out", "--video", live := tmp_path / "live.mp4")
         assert (done.exit_code, f"Wrote {live}." in done.stdout) == (0, True)
         if way == "--online":  # single images say how long each took
-            assert f"{live} shows this already." in run(*told, "--out", tmp_path / "out", "--video", live).stdout
-    assert f"Wrote {tmp_path / 'b.mp4'}." in run(*told, "--out", tmp_path / "out", "--video", tmp_path / "b.mp4").stdout
+            assert f"{live} shows this already." in run(*arguments, "--out", tmp_path / "out", "--video", live).stdout
+    assert (
+        f"Wrote {tmp_path / 'b.mp4'}."
+        in run(*arguments, "--out", tmp_path / "out", "--video", tmp_path / "b.mp4").stdout
+    )
     there, again = pictures(live), pictures(tmp_path / "b.mp4")
     assert len(there) == 3
     for (time, picture), (other_time, other) in zip(there, again, strict=True):

@@ -134,20 +134,20 @@ def test_again_it_looks_at_nothing_and_other_options_are_solved(drive, whole, tm
     assert np.abs(np.subtract(before, after)).max() > 1e-3
 
 
-def test_frames_per_second_that_were_assumed_may_be_told_later(drive, tmp_path):
+def test_frames_per_second_that_were_assumed_may_be_given_later(drive, tmp_path):
     images, file = drive
     arguments = (images, "--tracks", file, "--end", 0.3, "--out", tmp_path / "out")
     assert "10 frames per second are assumed" in run(*arguments).stderr
-    told = run(*arguments, "--fps", 10)
-    assert told.exit_code == 0, told.output
+    later = run(*arguments, "--fps", 10)
+    assert later.exit_code == 0, later.output
     with pytest.raises(InvalidInputError, match=r"other settings \(fps\)"):
         raise run(*arguments, "--fps", 20).exception
 
 
 def test_the_ground_is_shared_or_each_car_is_alone(drive, tmp_path):
-    """With a ground that is told, and with one that the two cars tell."""
+    """With a ground that is given, and with one that is estimated from the two cars."""
     images, file = drive
-    told = {}
+    tracks = {}
     for name, options in {
         "neither": (),
         "neither, apart": ("--apart",),
@@ -156,15 +156,15 @@ def test_the_ground_is_shared_or_each_car_is_alone(drive, tmp_path):
     }.items():
         done = run(images, "--tracks", file, "--fps", 10, "--online", "--out", tmp_path / name, *options)
         assert done.exit_code == 0, done.output
-        told[name] = contents(tmp_path / name)["tracks.txt"]
+        tracks[name] = contents(tmp_path / name)["tracks.txt"]
     for pair in (("neither", "neither, apart"), ("together", "apart")):
-        assert told[pair[0]] != told[pair[1]]
+        assert tracks[pair[0]] != tracks[pair[1]]
         places = [read_tracking(tmp_path / name / "tracks.txt")[11].objects.location for name in pair]
         assert np.abs(places[0] - places[1]).max() < 2.0
 
 
 def test_the_cameras_motion_is_estimated_where_it_helps(tmp_path):
-    """Where the ground is told, unless somebody says otherwise or no time is looked at; on another ground again."""
+    """Where the ground is given, unless somebody says otherwise or no time is looked at; on another ground again."""
     images, file = make_drive(tmp_path / "drive", 4, metres=0.4)
 
     def went(out, *options):
@@ -269,13 +269,13 @@ def test_a_video_in_and_a_video_out(drive, tmp_path):
 def test_a_frame_is_drawn_as_a_scene(drive, whole, tmp_path):
     """From a folder that is finished, without the networks; by default the frame with the most cars."""
     images, file = drive
-    told = (images, "--tracks", file, "--fps", 10, "--out", whole[0])
+    arguments = (images, "--tracks", file, "--fps", 10, "--out", whole[0])
     for name, options in (("most.png", ()), ("eight.svg", ("--picture-frame", 8))):
-        done = run(*told, "--picture", tmp_path / name, *options)
+        done = run(*arguments, "--picture", tmp_path / name, *options)
         assert done.exit_code == 0, done.output
         assert name in done.stdout
     assert "ahead [m]" in (tmp_path / "eight.svg").read_text()
-    done = run(*told, "--picture", tmp_path / "none.png", "--picture-frame", 99)
+    done = run(*arguments, "--picture", tmp_path / "none.png", "--picture-frame", 99)
     assert done.exception.field == "picture_frame"
     assert not (tmp_path / "none.png").exists()
 
@@ -354,7 +354,7 @@ def test_a_folder_of_a_batch_is_refused(drive, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["_run.json"]
 
 
-def test_a_codec_that_is_missing_is_told_before_the_work(drive, tmp_path, monkeypatch):
+def test_a_codec_that_is_missing_is_reported_before_the_work(drive, tmp_path, monkeypatch):
     monkeypatch.setattr("fgrecon.io.video._CODEC", "libnone")
     done = run(drive[0], "--out", tmp_path / "out", "--video", tmp_path / "a.mp4")
     assert "codec libnone" in str(done.exception)
@@ -387,5 +387,5 @@ def test_without_a_camera_the_cars_tell_the_focal_length(drive, tmp_path):
     )
     assert done.exit_code == 0, done.output
     assert "from what 16 cars of 8 frames look like" in " ".join(done.stderr.split())
-    told = json.loads((tmp_path / "run.json").read_text())["settings"]["camera"]["matrix"][0][0]
-    assert told == pytest.approx(true, rel=0.35)
+    focal = json.loads((tmp_path / "run.json").read_text())["settings"]["camera"]["matrix"][0][0]
+    assert focal == pytest.approx(true, rel=0.35)

@@ -71,7 +71,7 @@ def test_without_a_vehicle_there_is_no_picture_and_everything_else(drive, tmp_pa
 
 
 def test_a_frame_without_a_vehicle_is_not_drawn(drive, tmp_path):
-    """The cars of the others are told all the same; the exit code says that something is missing."""
+    """The cars of the others are written all the same; the exit code says that something is missing."""
     images, file = drive
     content = json.loads(file.read_text())
     content["instances"] = [one for one in content["instances"] if one["frame"] != 4]

@@ -37,12 +37,12 @@ def test_it_lets_go_of_vehicles_that_have_gone(tmp_path, monkeypatch, ids, left)
             trackers.append(self)
 
     monkeypatch.setattr("fgrecon.video.video_job.Tracker", Watched)
-    told = ["run", str(file), "--fps", "10", "--size-prior", "kitti", "--camera-height", "1.65"]
+    given = ["run", str(file), "--fps", "10", "--size-prior", "kitti", "--camera-height", "1.65"]
     lets_go, ways = Watched.forget, {"smoothed": [], "online": ["--online"]}
     for name, forget in (("forgets", lets_go), ("keeps", lambda *_: None)):
         monkeypatch.setattr(Watched, "forget", forget)
         for way, options in ways.items():
-            done = CliRunner().invoke(main.app, [*told, "--out", str(tmp_path / way / name), *options])
+            done = CliRunner().invoke(main.app, [*given, "--out", str(tmp_path / way / name), *options])
             assert done.exit_code == 0, done.output
             said.append(done.stderr)
     assert [len(tracker.smooth()) for tracker in trackers] == [left, left, 6, 6]

@@ -34,8 +34,8 @@ def test_the_same_seed_gives_the_same_bytes(folder, tmp_path):
 
 
 def test_cars_are_reconstructed_where_they_were_put(folder, tmp_path):
-    told = ("--camera-height", 1.65, "--image", folder / "street.png", "--picture", tmp_path / "cars.png")
-    done = run("reconstruct", folder / "cars.json", "--calib", folder / "calib.txt", *told, "--json", "-")
+    given = ("--camera-height", 1.65, "--image", folder / "street.png", "--picture", tmp_path / "cars.png")
+    done = run("reconstruct", folder / "cars.json", "--calib", folder / "calib.txt", *given, "--json", "-")
     assert done.exit_code == 0, done.output
     assert f"Wrote {tmp_path / 'cars.png'}." in done.stderr
     cars = json.loads(done.stdout)["instances"]
@@ -54,14 +54,14 @@ def test_the_picture_is_read_with_the_boxes(folder, tmp_path):
 
 
 def test_a_keypoint_file_gives_what_the_image_gives(folder, tmp_path):
-    """Once it is told what the boxes enclose and that its cars are of one image, as the guide says."""
+    """Once it is given what the boxes enclose and that its cars are of one image, as the guide says."""
     boxes, calib = ("--boxes", folder / "boxes.txt"), ("--calib", folder / "calib.txt", "--json", "-")
     found = tmp_path / "found.json"
     assert run("keypoints", "detect", folder / "street.png", *boxes, "--json", found).exit_code == 0
     image = run("reconstruct", folder / "street.png", *boxes, *calib)
     file = run("reconstruct", found, "--box-model", "surface", "--together", *calib)
-    untold = run("reconstruct", found, *calib)
-    places = [[car["location"] for car in json.loads(done.stdout)["instances"]] for done in (image, file, untold)]
+    without = run("reconstruct", found, *calib)
+    places = [[car["location"] for car in json.loads(done.stdout)["instances"]] for done in (image, file, without)]
     assert places[1] == [pytest.approx(place, abs=1e-6) for place in places[0]]
     assert places[2] != [pytest.approx(place, abs=0.05) for place in places[0]]
 
@@ -69,9 +69,9 @@ def test_a_keypoint_file_gives_what_the_image_gives(folder, tmp_path):
 def test_the_detector_finds_the_rendered_cars_where_they_are(folder):
     """As the guide to photographs says: these cars are of the fleet that the guides tell."""
     truth = [c.truth.camera_T_object for c in sample_street(load_prior("car14").for_fleet(size_prior("kitti"))).cars]
-    told = ("--calib", folder / "calib.txt", "--camera-height", "1.65", "--size-prior", "kitti", "--json", "-")
+    given = ("--calib", folder / "calib.txt", "--camera-height", "1.65", "--size-prior", "kitti", "--json", "-")
     for how in ("--detect",), ("--boxes", folder / "boxes.txt"):
-        done = run("reconstruct", folder / "street.png", *how, *told)
+        done = run("reconstruct", folder / "street.png", *how, *given)
         places = np.array([car["location"] for car in json.loads(done.stdout)["instances"]])
         assert len(places) == 3
         for pose in truth:

@@ -117,7 +117,7 @@ def test_masks_of_an_image_are_the_vehicles(sample, tmp_path):
     assert all(one["mask"] > 1.0 for one in kinds)
 
 
-def test_a_lidar_of_unsure_place_is_told_by_the_cars(sample, tmp_path):
+def test_a_lidar_of_unsure_place_is_placed_by_the_cars(sample, tmp_path):
     given = (
         "reconstruct",
         sample / "cars.json",

@@ -49,7 +49,7 @@ def test_results_of_a_track_are_exported(write, drive, tmp_path):
     assert len((tmp_path / "cars.csv").read_text().splitlines()) == 4
 
 
-def test_tracks_and_ids_of_one_name_are_told_apart(drive, tmp_path):
+def test_tracks_and_ids_of_one_name_are_distinguished(drive, tmp_path):
     for folder in "ab":
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "car.json").write_text(json.dumps(drive[0]))
@@ -80,14 +80,14 @@ def test_photographs_come_from_a_folder(write, drive, tmp_path):
     assert done.exit_code == 0, done.output
 
 
-@pytest.mark.parametrize("told", ["id", "frame"])
-def test_photographs_are_those_of_the_frames_also_where_these_do_not_increase(write, drive, tmp_path, told):
+@pytest.mark.parametrize("by", ["id", "frame"])
+def test_photographs_are_those_of_the_frames_also_where_these_do_not_increase(write, drive, tmp_path, by):
     folder = tmp_path / "images"
     folder.mkdir()
     content = drive[0]
     numbers = (20, 19, 17)
     for one, number in zip(content["instances"], numbers, strict=True):
-        one |= {"id": f"car:{number}"} if told == "id" else {"id": f"car {number}", "frame": number}
+        one |= {"id": f"car:{number}"} if by == "id" else {"id": f"car {number}", "frame": number}
     for number in (0, 1, 2, *numbers):
         write_png(folder / f"{number:06d}.png", np.full((375, 1242, 3), 10 * number, np.uint8))
     from fgrecon.cli import track_report

@@ -198,7 +198,7 @@ def test_a_part_outside_the_image_is_refused(part):
 
 
 def test_a_camera_is_not_as_high_as_a_mountain():
-    """Millimetres and centimetres are told from metres; what is estimated may be anything."""
+    """Millimetres and centimetres are distinguished from metres; what is estimated may be anything."""
     for height in (1650.0, 165.0):
         with pytest.raises(InvalidInputError, match=r"ground\.distance: got 1650?\.0\. .* in metres, at most 100"):
             Ground.level(height)

@@ -31,11 +31,11 @@ MADE = [
 def test_an_error_stays_what_it_is(error, again):
     made = again(error)
     assert (type(made), str(made)) == (type(error), str(error))
-    told, expected = dict(vars(made)), dict(vars(error))
+    fields, expected = dict(vars(made)), dict(vars(error))
     if not isinstance(expected.get("value", ""), str | int | None):  # what is not plain goes as its text
-        assert told.pop("value") in str(error)
+        assert fields.pop("value") in str(error)
         del expected["value"]
-    assert told == expected
+    assert fields == expected
     again(made)
 
 

@@ -88,8 +88,8 @@ def test_ids_of_any_kind_do_no_harm(keypoints, tmp_path):
     assert "\x1b[31m" not in done.output
     assert "\\x1b[31mred\\x07" in done.output
     assert picture.stat().st_size > 1000
-    told = [item.name for item in read_results(results)]
-    assert told == [names[0], "\ufffd", *names[2:]]
+    ids = [item.name for item in read_results(results)]
+    assert ids == [names[0], "\ufffd", *names[2:]]
     run("export", results, table)
     assert "'=HYPERLINK(1)" in table.read_text(encoding="utf-8")
 
@@ -209,8 +209,8 @@ def test_a_3d_box_that_is_no_vehicles_is_refused_alone():
 @pytest.mark.parametrize("sigma", [1e-300, 1e-6, 5e-6])
 def test_a_size_that_is_known_exactly_is_taken_to_a_tenth_of_a_millimetre(sigma):
     seen = observe(load_prior("car14"), yaw_pose(0.5))
-    told = [f"4,1.6,1.5,{one},{one},{one}" for one in (sigma, 1e-4)]
-    exact, known = (fgrecon.reconstruct(seen, CAMERA, size_prior=text) for text in told)
+    given = [f"4,1.6,1.5,{one},{one},{one}" for one in (sigma, 1e-4)]
+    exact, known = (fgrecon.reconstruct(seen, CAMERA, size_prior=text) for text in given)
     assert known.status.determined
     np.testing.assert_array_equal(exact.wireframe, known.wireframe)
     np.testing.assert_allclose(exact.box_size, [4.0, 1.6, 1.5], atol=0.02)

@@ -112,9 +112,11 @@ def test_named_fleets_and_what_a_category_computed_once_are_shared_and_read_only
 
 
 def test_a_priors_origin_is_copied():
-    told = {"source": "here"}
-    prior = fgrecon.ShapePrior(CATEGORY, PRIOR.mean, PRIOR.basis, PRIOR.offset_sigma, PRIOR.explained, provenance=told)
-    told["source"] = "there"
+    provenance = {"source": "here"}
+    prior = fgrecon.ShapePrior(
+        CATEGORY, PRIOR.mean, PRIOR.basis, PRIOR.offset_sigma, PRIOR.explained, provenance=provenance
+    )
+    provenance["source"] = "there"
     assert prior.provenance == {"source": "here"}
 
 

@@ -138,7 +138,7 @@ class TestShapePrior:
             Surface(mean, basis, faces)
         assert error.value.field.startswith(field)
 
-    def test_a_prior_in_centimetres_is_told_so(self):
+    def test_a_prior_in_centimetres_is_refused(self):
         with pytest.raises(InvalidInputError, match=r"metres: length, width and height are 0\.3 to 30 m"):
             replace(PRIOR, surface=None).scaled(100.0)
 
@@ -191,7 +191,7 @@ class TestApollo79:
         with pytest.raises(InvalidInputError, match="no-such-car"):
             apollo79_prior(models, exclude=["no-such-car"])
 
-    def test_a_model_counts_as_it_is_told_to(self, models):
+    def test_a_model_counts_as_its_weight_says(self, models):
         weights = np.ones(len(models.names))
         weights[12] = 1e6
         prior = apollo79_prior(models, weights=weights)

@@ -31,7 +31,7 @@ def made_up_track():
     )
 
 
-def test_a_result_is_told_in_a_few_lines():
+def test_a_result_is_shown_in_a_few_lines():
     result = made_up(np.random.default_rng(0))
     lines = repr(result).splitlines()
     assert lines[0] == "Reconstruction: ambiguous. Why not — ümlauts, too."
@@ -46,26 +46,26 @@ def test_a_result_of_an_image_has_no_time_of_its_own():
     assert repr(changed(made_up(np.random.default_rng(0)), milliseconds={})).endswith("trusted, prior made up")
 
 
-@pytest.mark.parametrize(("count", "told"), [(0, "0 boxes"), (1, "1 box"), (2, "2 boxes")])
-def test_one_thing_is_no_things(count, told):
-    assert counted(count, "box", "boxes") == told
+@pytest.mark.parametrize(("count", "expected"), [(0, "0 boxes"), (1, "1 box"), (2, "2 boxes")])
+def test_one_thing_is_no_things(count, expected):
+    assert counted(count, "box", "boxes") == expected
     assert counted(count, "car") == f"{count} car{'' if count == 1 else 's'}"
 
 
-def test_a_result_without_a_pose_is_told_as_well():
+def test_a_result_without_a_pose_is_shown_as_well():
     result = made_up(np.random.default_rng(0))
     object.__setattr__(result.pose, "camera_T_object", np.full((4, 4), np.nan))
     assert len(repr(result).splitlines()) == 2
 
 
-def test_a_track_is_told_in_a_few_lines():
+def test_a_track_is_shown_in_a_few_lines():
     lines = repr(made_up_track()).splitlines()
     assert lines[0] == "TrackReconstruction: converged. Both share one shape."
     assert lines[1] == "  2 images solved, 1 refused"
     assert lines[-1] == "  1 joint step, 9 ms"
 
 
-def test_data_with_large_arrays_is_told_in_a_line():
+def test_data_with_large_arrays_is_shown_in_a_line():
     prior, result, track = load_prior("car14"), made_up(np.random.default_rng(0)), made_up_track()
     seen = Observation(np.zeros((14, 2)), np.ones(14), np.array([1.0, 2.0, 30.0, 40.5]))
     for value in (

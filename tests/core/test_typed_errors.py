@@ -95,7 +95,7 @@ def test_what_is_no_argument_is_named(make, field):
     assert error.value.fix.endswith(".")
 
 
-def test_none_is_told_as_such():
+def test_none_is_named_as_such():
     for make in (lambda: CAMERA.project(None), lambda: CAMERA.scaled(None), lambda: fgrecon.rotation_y(None)):
         with pytest.raises(InvalidInputError, match="got None"):
             make()

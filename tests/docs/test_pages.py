@@ -99,14 +99,14 @@ def test_a_folder_of_results_has_one_content():
         for words in map(shlex.split, commands(text)):
             if words[1] in ("batch", "run") and "--out" in words:
                 out = words.index("--out") + 1
-                told = tuple(words[2:out]) if words[1] == "batch" else words[2]
-                filled.setdefault(words[out], set()).add((words[1], told))
+                inputs = tuple(words[2:out]) if words[1] == "batch" else words[2]
+                filled.setdefault(words[out], set()).add((words[1], inputs))
         for block in (*blocks(text, "python"), *blocks(text, "py")):
             found = re.findall(r'(?:sources_of\(.*?\), |look, follower, Path\()"(\w+)"', block)
             for name in found:
                 filled.setdefault(name, set()).add(("python", block))
     assert {"sized", "solved", "followed", "tracked"} <= set(filled)
-    assert {name: told for name, told in filled.items() if len(told) > 1} == {}
+    assert {name: inputs for name, inputs in filled.items() if len(inputs) > 1} == {}
 
 
 @pytest.mark.parametrize("page", sorted((REPOSITORY / "docs/how-to").glob("*.md")), ids=name_of)

@@ -45,8 +45,10 @@ def test_each_release_has_its_site_with_search_and_copy_buttons(project):
     assert "latest" in run("git", "show", "gh-pages:index.html")
     for version in ("0.1", "0.2"):
         page = run("git", "show", f"gh-pages:{version}/index.html")
-        told = json.loads(page.partition('<script id="__config" type="application/json">')[2].partition("</script>")[0])
-        assert told["version"]["provider"] == "mike"
-        assert "content.code.copy" in told["features"]
+        config = json.loads(
+            page.partition('<script id="__config" type="application/json">')[2].partition("</script>")[0]
+        )
+        assert config["version"]["provider"] == "mike"
+        assert "content.code.copy" in config["features"]
         found = json.loads(run("git", "show", f"gh-pages:{version}/search/search_index.json"))
         assert any("wombats" in entry["text"] for entry in found["docs"])

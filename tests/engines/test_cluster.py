@@ -69,7 +69,7 @@ def killed_run(file, out, victims, *options):
     return time.monotonic() - began, before
 
 
-def told(name, seconds, before):
+def measured(name, seconds, before):
     return f"{name}: {CARS} rows in {seconds:.0f} s, a worker killed when {before} were written; every row once"
 
 
@@ -83,7 +83,7 @@ def pool(cars, tmp_path_factory):
 
 def test_a_local_pool(cars, pool, say):
     seconds, before, rows = pool
-    say(told("local pool", seconds, before))
+    say(measured("local pool", seconds, before))
     assert rows.keys() == {f"{cars}#{line}" for line in range(1, CARS + 1)}
     tasks = [{"row_id": f"{cars}#{n}", "source": str(cars), "instance": text} for n, text in lines_of(cars, 20)]
     here = Reconstructor(**SOLVED)(pa.Table.from_pylist(tasks, schema=task_schema())).to_pylist()
@@ -98,7 +98,7 @@ def test_a_ray_cluster_of_two_nodes(cars, pool, say, tmp_path):
         seconds, before = killed_run(cars, tmp_path / "out", lambda _: cluster.actors(), *options)
     finally:
         cluster.stop()
-    say(told("Ray, two nodes", seconds, before))
+    say(measured("Ray, two nodes", seconds, before))
     assert {name: untimed(row) for name, row in results(tmp_path / "out").items()} == pool[2]
 
 
@@ -127,7 +127,7 @@ def test_dask(cars, pool, say):
         before = sum(future.done() for future in futures) * CARS // 40
         kill(next(iter(workers.workers.values())).pid)
         parts = client.gather(futures)
-    say(told("Dask", time.monotonic() - began, before))
+    say(measured("Dask", time.monotonic() - began, before))
     rows = [row for part in parts for row in pa.Table.from_pandas(part, schema=result_schema()).to_pylist()]
     assert len(rows) == CARS
     found = {row["row_id"]: untimed(row) for row in rows}

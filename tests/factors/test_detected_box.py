@@ -40,7 +40,7 @@ def test_the_rows_are_tangents_and_a_ratio():
 
 @pytest.mark.parametrize("off", [-1.2, -0.2, 0.0, 0.4, 1.5])
 @pytest.mark.parametrize("turned", [0.0, np.pi])
-def test_the_yaw_is_told_modulo_half_a_turn(off, turned):
+def test_the_yaw_is_known_modulo_half_a_turn(off, turned):
     factor = detected_yaw_factor(X(), 0.7, 0.5)
     assert factor.unwhitenedError(values_of(standing(0.7 + off + turned, [0.0, 1.5, 9.0]))) == pytest.approx([off])
 

@@ -152,8 +152,8 @@ FOCAL = {name: {**variant, "zoom": 0.2} for name, variant in VARIANTS.items()}
 def test_a_focal_length_that_is_a_variable_is_that_of_the_camera(name):
     fixed, free = (Case(3, compiled=False, **kind[name]) for kind in (VARIANTS, FOCAL))
     for form, want in ((Form.LOSS, False), (Form.NEWTON, True)):
-        (rows, jacobian), (told, wider) = (case.tell(form)(case.values, want) for case in (fixed, free))
-        np.testing.assert_allclose(told, rows, rtol=1e-9, atol=1e-9)
+        (rows, jacobian), (fewer, wider) = (case.tell(form)(case.values, want) for case in (fixed, free))
+        np.testing.assert_allclose(fewer, rows, rtol=1e-9, atol=1e-9)
         if want:
             np.testing.assert_allclose(wider[:, :-1], jacobian, rtol=1e-9, atol=1e-6)
 
@@ -182,16 +182,16 @@ def test_weighted_rows_have_the_numeric_jacobian(name, compiled):
 def test_newtons_gradient_is_that_of_the_loss(name, compiled):
     case = Case(2, compiled=compiled, **VARIANTS[name])
     factor = observation_factor(case.tell(Form.NEWTON))
-    told = graph_of(factor).linearize(case.values).gradientAtZero()
+    gradient = graph_of(factor).linearize(case.values).gradientAtZero()
     zero, step = case.values.zeroVectors(), 1e-6
     for key in list(factor.keys()):
-        for axis, analytic in zip(np.eye(len(zero.at(key))), told.at(key), strict=True):
+        for axis, analytic in zip(np.eye(len(zero.at(key))), gradient.at(key), strict=True):
             errors = []
             for sign in (step, -step):
                 change = gtsam.VectorValues()
                 change.insert(key, sign * axis)
                 errors.append(factor.error(case.values.retract(change)))
-            scale = max(1.0, np.abs(told.vector()).max())
+            scale = max(1.0, np.abs(gradient.vector()).max())
             assert (errors[0] - errors[1]) / (2 * step) == pytest.approx(analytic, abs=2e-5 * scale)
 
 

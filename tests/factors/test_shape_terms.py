@@ -49,7 +49,7 @@ def test_the_stack_is_its_factors(offsets, without):
         assert_jacobian(terms.factor(), values, step=1e-4)
 
 
-def test_energies_are_told_term_by_term():
+def test_energies_are_reported_term_by_term():
     terms, alone, values = case(0, offsets=True)
     errors = [factor.error(values) for factor in alone]
     expected = {"symmetry": errors[0], "rectangularity": errors[1] + errors[2], "dimensions": errors[3]}

@@ -57,7 +57,7 @@ def in_scheme(points, scheme):
     return array
 
 
-def told_by(scheme, points):
+def given_by(scheme, points):
     """Our points (14, 2) of which a scheme has any; NaN elsewhere."""
     groups = parse_names(scheme, CATEGORY).groups
     return np.array([points[k] if name in groups else [np.nan] * 2 for k, name in enumerate(CATEGORY.keypoints)])

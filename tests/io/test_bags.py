@@ -271,7 +271,7 @@ def test_a_lidar_without_a_place_needs_one(tmp_path, pictures):
         opened.clouds(LidarTopic("/nowhere"))
 
 
-def test_headers_without_times_are_told_and_the_recording_counts(tmp_path, pictures):
+def test_headers_without_times_are_reported_and_the_recording_counts(tmp_path, pictures):
     messages = [("/image", bags.START + i * bags.PERIOD, bags.image(one, 0)) for i, one in enumerate(pictures)]
     opened = open_bag_drive(bags.write(tmp_path / "drive", messages))
     assert opened.times == tuple(bags.START + i * bags.PERIOD for i in range(4))

@@ -103,8 +103,8 @@ def test_round_trip_keeps_every_bit(small_category, tmp_path_factory, basis, ver
     from fgrecon.core.category import Category
 
     surface = Surface(vertices, np.zeros((2, 4, 3)), np.array([[0, 1, 2]]))
-    told = {"surface": surface, "name": name, "provenance": {"source": name}, "mean_sigma": np.abs(basis[0])}
-    prior = small_prior(Category.from_dict(small_category), basis=basis, **told)
+    fields = {"surface": surface, "name": name, "provenance": {"source": name}, "mean_sigma": np.abs(basis[0])}
+    prior = small_prior(Category.from_dict(small_category), basis=basis, **fields)
     file = tmp_path_factory.mktemp("prior") / "prior.npz"
     again = load_prior(save_prior(prior, file))
     for field in (*FIELDS, "mean_sigma"):

@@ -124,12 +124,12 @@ def test_the_area_is_that_of_the_polygons(labels, tmp_path):
 
 def test_terms_of_the_images_are_a_license_of_each(labels, tmp_path):
     assert json.loads(write_coco_keypoints(tmp_path / "labels.json", labels).read_text())["licenses"] == []
-    told = replace(labels, terms="CC BY-NC-SA 3.0")
-    path = write_coco_keypoints(tmp_path / "labels.json", told)
+    licensed = replace(labels, terms="CC BY-NC-SA 3.0")
+    path = write_coco_keypoints(tmp_path / "labels.json", licensed)
     content = json.loads(path.read_text())
     assert content["licenses"] == [{"id": 1, "name": "CC BY-NC-SA 3.0", "url": ""}]
     assert [image["license"] for image in content["images"]] == [1, 1]
-    assert read_coco_keypoints(path).terms == told.terms
+    assert read_coco_keypoints(path).terms == licensed.terms
 
 
 def test_flags_are_those_of_the_numbers_written(labels, tmp_path):
@@ -181,12 +181,12 @@ def test_links_to_one_file_of_a_store_are_images_of_their_own(labels, tmp_path):
     (tmp_path / "linked").symlink_to(tmp_path / "elsewhere" / "deep")  # whose `..` is another than it looks
     for folder, up in ((tmp_path, ""), (tmp_path / "linked", "../../")):
         path = write_coco_keypoints(folder / "labels.json", labels)
-        told = json.loads(path.read_text())
-        assert [image["file_name"] for image in told["images"]] == [f"{up}drive/{n:06d}.png" for n in (4, 5)]
-        assert [one["image_id"] for one in told["annotations"]] == [1, 2, 2]
-        assert all((folder / image["file_name"]).exists() for image in told["images"])
+        document = json.loads(path.read_text())
+        assert [image["file_name"] for image in document["images"]] == [f"{up}drive/{n:06d}.png" for n in (4, 5)]
+        assert [one["image_id"] for one in document["annotations"]] == [1, 2, 2]
+        assert all((folder / image["file_name"]).exists() for image in document["images"])
         again = write_coco_keypoints(folder / "again.json", read_coco_keypoints(path))
-        assert json.loads(again.read_text())["images"] == told["images"]
+        assert json.loads(again.read_text())["images"] == document["images"]
 
 
 def test_images_behind_a_link_move_with_it(labels, tmp_path):

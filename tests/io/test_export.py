@@ -194,7 +194,7 @@ def test_kittis_file_is_of_one_image(cars, refused, tmp_path):
         found = export(tmp_path / f"{name}.txt", [car for car in several if car.image == name]).read_text()
         assert found.count("\n") == 1
     export(tmp_path / "rest.txt", [several[0], replace(refused, image="b")])
-    export(tmp_path / "rows.txt", [replace(car, row=car.name) for car in cars])  # whose images nobody told
+    export(tmp_path / "rows.txt", [replace(car, row=car.name) for car in cars])  # whose images are not given
 
 
 @pytest.mark.parametrize("kind", FORMATS)

@@ -169,8 +169,8 @@ def test_an_image_without_a_vehicle_has_a_message_without_one(cars, images, tmp_
 def test_ros_2(cars, tmp_path):
     reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed")
     content = export(tmp_path / "r.mcap", cars, "vision_msgs").read_bytes()
-    told = reader.read_ros2_messages(io.BytesIO(content), topics=["/fgrecon/detections"])
-    first, second = (found.ros_msg for found in told)
+    messages = reader.read_ros2_messages(io.BytesIO(content), topics=["/fgrecon/detections"])
+    first, second = (found.ros_msg for found in messages)
     assert (second.header.stamp.sec, second.header.stamp.nanosec) == (0, 100_000_000)
     assert (first.header.frame_id, [found.id for found in first.detections]) == ("camera", ["a:0", "a:1"])
     result, detection = cars[0].result, first.detections[0]
@@ -250,7 +250,7 @@ def test_the_folder_of_a_batch_is_exported_as_a_file_of_results_is(tmp_path):
     assert [(found.image, found.row) for found in read_folder(tmp_path / "batch")] == [
         ("", f"{lines}#1"),
         ("", f"{lines}#2"),
-    ], "nobody told their images"
+    ], "their images are not given"
     (part,) = (tmp_path / "batch").glob("*.parquet")
     table = pq.read_table(part)
     ids = pa.array([f"{lines}#1:0", f"{lines}#2:0", None])  # as vehicles have that were found in images
@@ -301,7 +301,7 @@ def images_of(folder, ids, *, scenes=(), **more):
     """The images that a results file of vehicles of these ids has."""
     result = make_example().reconstruction.to_dict(compact=True)
     entries = [
-        {"id": name, "result": result} | {key: told[i] for key, told in more.items()} for i, name in enumerate(ids)
+        {"id": name, "result": result} | {key: values[i] for key, values in more.items()} for i, name in enumerate(ids)
     ]
     content = {"format": "fgrecon.reconstructions/2", "instances": entries, "scenes": list(scenes)}
     (folder / "r.json").write_text(json.dumps(content))

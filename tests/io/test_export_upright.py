@@ -109,8 +109,8 @@ def test_a_camera_without_a_ground_is_level():
 def test_ros_2_has_the_same_frames(tmp_path):
     reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed")
     content = export(tmp_path / "r.mcap", [parked(PITCHED)], "vision_msgs").read_bytes()
-    (told,) = (found.ros_msg for found in reader.read_ros2_messages(io.BytesIO(content), topics=["/tf"]))
-    (one,) = told.transforms
+    (message,) = (found.ros_msg for found in reader.read_ros2_messages(io.BytesIO(content), topics=["/tf"]))
+    (one,) = message.transforms
     assert (one.header.frame_id, one.child_frame_id) == ("map", "camera")
     shift, turn = one.transform.translation, one.transform.rotation
     made = pose({"x": shift.x, "y": shift.y, "z": shift.z}, {"x": turn.x, "y": turn.y, "z": turn.z, "w": turn.w})
@@ -118,7 +118,7 @@ def test_ros_2_has_the_same_frames(tmp_path):
 
 
 @pytest.mark.parametrize("command", ["reconstruct", "batch"])
-def test_the_ground_that_was_told_is_the_one(tmp_path, command):
+def test_the_ground_that_was_given_is_the_one(tmp_path, command):
     from tests.batch.support import instances
 
     def run(*arguments):

@@ -34,8 +34,8 @@ def frames(*, first=0.3):
 
 def test_samples_that_are_no_frame_are_in_nuscenes_results_as_well(tmp_path):
     (file := tmp_path / "frames.jsonl").write_text(frames())
-    told = {name.removesuffix(".png"): ImageInfo(sample_token=name) for name in (*NAMES, "000099.png")}
-    results, infos = read_video_frames(file, told | {"*": ImageInfo(sample_token="other")})
+    given = {name.removesuffix(".png"): ImageInfo(sample_token=name) for name in (*NAMES, "000099.png")}
+    results, infos = read_video_frames(file, given | {"*": ImageInfo(sample_token="other")})
     assert list(infos) == [*NAMES, "000099"]
     found = json.loads(export(tmp_path / "n.json", results, "nuscenes", infos).read_text())["results"]
     assert {token: len(boxes) for token, boxes in found.items()} == {

@@ -77,7 +77,7 @@ def test_crowds_are_no_cars(tmp_path):
     assert len(read_boxes(write(tmp_path / "a.json", coco_of("a.jpg", iscrowd=0)), "a")) == 1
 
 
-def test_images_of_one_name_are_told_apart_by_their_folders_or_refused(tmp_path):
+def test_images_of_one_name_are_distinguished_by_their_folders_or_refused(tmp_path):
     path = write(tmp_path / "boxes.json", coco_of("A/left/1.jpg", "B/left/1.jpg", "B/left/12.jpg"))
     for image, left in (("B/left/1", 2), ("/data/A/left/1", 1), ("12", 3)):
         (box,) = read_boxes(path, image)
@@ -87,7 +87,9 @@ def test_images_of_one_name_are_told_apart_by_their_folders_or_refused(tmp_path)
     for image in ("1", "left/1", "C/left/1"):
         with pytest.raises(InvalidInputError, match=r"got 1, which is A/left/1\.jpg and B/left/1\.jpg"):
             read_boxes(path, image)
-    assert len(read_boxes(write(tmp_path / "boxes.json", coco_of("1.jpg", "1.jpg")), "1")) == 2, "one image, told twice"
+    assert len(read_boxes(write(tmp_path / "boxes.json", coco_of("1.jpg", "1.jpg")), "1")) == 2, (
+        "one image, listed twice"
+    )
 
 
 def test_names_of_images_that_look_like_numbers(tmp_path):

@@ -173,7 +173,7 @@ def test_dates_are_in_order(tmp_path):
     assert open_frames(folder, rate=1).times == (0.0, 1.0)
 
 
-def test_images_of_one_name_are_told_apart(tmp_path):
+def test_images_of_one_name_are_distinguished(tmp_path):
     for camera in ("left", "right"):
         images(tmp_path / camera, ["000000.png", "000001.png"])
     source = open_frames(str(tmp_path / "*" / "*.png"))
@@ -250,7 +250,7 @@ def test_pyav_is_asked_for_where_it_is_missing(video, tmp_path, monkeypatch):
             use()
 
 
-def test_a_codec_that_is_missing_is_told_before_the_work(tmp_path, monkeypatch):
+def test_a_codec_that_is_missing_is_reported_before_the_work(tmp_path, monkeypatch):
     monkeypatch.setattr("fgrecon.io.video._CODEC", "libnone")
     with pytest.raises(InvalidInputError, match="without the codec libnone"):
         check_video(tmp_path / "a.mp4")

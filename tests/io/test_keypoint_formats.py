@@ -14,7 +14,7 @@ from fgrecon.io.keypoint_file import parse_keypoints
 from fgrecon.io.keypoints import parse_any_keypoints, read_any_keypoints
 from fgrecon.io.keypoints.names import scheme_keypoints
 
-from .formats import CATEGORY, MISSING, car, flat, in_scheme, our_record, pascal_file, same, spoilt, told_by, write
+from .formats import CATEGORY, MISSING, car, flat, given_by, in_scheme, our_record, pascal_file, same, spoilt, write
 
 POINTS, BOX = car()
 BBOX = [float(x) for x in (BOX[0], BOX[1], BOX[2] - BOX[0], BOX[3] - BOX[1])]
@@ -96,7 +96,7 @@ def test_the_vehicles_of_one_photograph():
         parse_any_keypoints(coco(labelled()), CATEGORY, image="third.png")
 
 
-def test_coco_results_are_told_apart_by_their_image():
+def test_coco_results_are_distinguished_by_their_image():
     result = {"image_id": 7, "category_id": 3, "score": 0.9, "bbox": BBOX, "keypoints": labelled(0.6)}
     file = parse_any_keypoints([result, {**result, "image_id": 8}], CATEGORY, image="000008.png")
     (expected,) = ours(our_record(POINTS, 0.6, CORNERS))
@@ -111,7 +111,7 @@ def test_openpifpaf_predictions(tmp_path, scheme):
     prediction = {"keypoints": flat(points, 0.45), "bbox": [1.0, 2.0, 30.0, 40.0], "score": 0.7, "category_id": 1}
     file = read_any_keypoints(write(tmp_path / "p.json", [prediction]), CATEGORY)
     assert file.ignored == ()
-    (expected,) = ours(our_record(told_by(scheme, POINTS), 0.45))
+    (expected,) = ours(our_record(given_by(scheme, POINTS), 0.45))
     same(file.instances[0], expected)  # without the box, which is that of the points
     if scheme == "apollo24":
         assert np.isfinite(file.instances[0].keypoints[:, 0]).sum() == 14 - len(MISSING)
@@ -145,7 +145,7 @@ def test_carfusion(tmp_path):
         ("4", "1_0007.jpg"),
         ("9", "1_0007.jpg"),
     ]
-    (expected,) = ours(our_record(told_by("carfusion", POINTS), 1.0))
+    (expected,) = ours(our_record(given_by("carfusion", POINTS), 1.0))
     for instance in file.instances:
         same(instance, expected)
 
@@ -157,7 +157,7 @@ def test_carfusion_in_coco_whose_names_are_numbers():
     with pytest.raises(InvalidInputError, match="--names"):
         parse_any_keypoints(content, CATEGORY)
     (instance, _) = parse_any_keypoints(content, CATEGORY, names="carfusion").instances
-    (expected,) = ours(our_record(told_by("carfusion", POINTS), 1.0, CORNERS))
+    (expected,) = ours(our_record(given_by("carfusion", POINTS), 1.0, CORNERS))
     same(instance, expected)
 
 
@@ -166,7 +166,7 @@ def test_pascal3d(tmp_path):
     (instance,) = read_any_keypoints(tmp_path / "2008_000001.mat", CATEGORY).instances
     assert instance.image == "2008_000001.jpg"
     assert np.allclose(instance.box, BOX)
-    (expected,) = ours(our_record(told_by("pascal12", POINTS), 0.2))
+    (expected,) = ours(our_record(given_by("pascal12", POINTS), 0.2))
     measured = np.isfinite(expected.keypoints)
     assert np.allclose(instance.keypoints[measured], expected.keypoints[measured])
     assert np.isnan(instance.keypoints[~measured]).all()
@@ -177,7 +177,7 @@ def test_our_layout_with_their_names(tmp_path):
     seen = {name: point for name, point in by_name.items() if np.isfinite(point[0])}
     rows = [[*point, 0.4] if np.isfinite(point[0]) else None for point in by_name.values()]
     trust = dict.fromkeys(seen, 0.4)
-    expected = ours(our_record(told_by("apollo24", POINTS), 0.4, BOX))
+    expected = ours(our_record(given_by("apollo24", POINTS), 0.4, BOX))
     for record in (
         {"keypoints": seen, "confidence": trust},
         {"keypoints": rows},

@@ -13,7 +13,7 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.io.keypoint_file import parse_keypoints
 from fgrecon.io.keypoints import keypoints_from
 
-from .formats import CATEGORY, MISSING, VALUES, car, flat, in_scheme, our_record, same, told_by
+from .formats import CATEGORY, MISSING, VALUES, car, flat, given_by, in_scheme, our_record, same
 
 POINTS, BOX = (values.astype(np.float32).astype(float) for values in car())
 TRUST = float(np.float32(0.8))
@@ -111,7 +111,7 @@ def test_keypoints_of_the_real_supervision():
 
 def test_annotations_of_openpifpaf_and_contents_of_files():
     prediction = {"keypoints": flat(in_scheme(POINTS, "apollo24"), 0.45), "bbox": [1, 2, 3, 4], "category_id": 1}
-    expected = parse_keypoints(our_record(told_by("apollo24", POINTS), 0.45), CATEGORY).instances[0]
+    expected = parse_keypoints(our_record(given_by("apollo24", POINTS), 0.45), CATEGORY).instances[0]
     annotation = SimpleNamespace(json_data=lambda: prediction)
     for given_ in (annotation, [annotation], prediction, [prediction]):
         (vehicle,) = keypoints_from(given_)

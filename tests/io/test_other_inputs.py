@@ -24,7 +24,7 @@ def refusal(*arguments):
     ("name", "wanted"),
     [("drive.mp4", "fgrecon run"), ("cars.jsonl", "fgrecon batch"), ("cars.parquet", "fgrecon batch")],
 )
-def test_other_files_are_told_their_command(tmp_path, command, name, wanted):
+def test_other_files_are_refused_with_their_command(tmp_path, command, name, wanted):
     (tmp_path / name).write_bytes(b"\xff\xd8 none of JSON")
     refused = refusal(command, tmp_path / name)
     assert wanted in refused.fix

@@ -58,8 +58,8 @@ def test_the_compact_form_keeps_the_digits_that_it_promises():
         back.shape.surface_vertices,
         back.shape.surface_faces,
     ) == ((), (), None, None)
-    told = [name for name in FIELDS if name not in (*DECIMALS, *SIGNIFICANT, *EXACT, "alternatives")]
-    for name in told:
+    rounded = [name for name in FIELDS if name not in (*DECIMALS, *SIGNIFICANT, *EXACT, "alternatives")]
+    for name in rounded:
         assert_same(value_of(back, name), value_of(result, name))
 
 
@@ -107,8 +107,8 @@ def test_tracks_keep_their_history_on_request(content, tmp_path):
 def test_surfaces_are_made_again_from_prior_size_and_coefficients(cars, tmp_path, size):
     import fgrecon
 
-    told = [] if size is None else ["--size-prior", size]
-    run("reconstruct", cars, *told, "--json", tmp_path / "r.json")
+    options = [] if size is None else ["--size-prior", size]
+    run("reconstruct", cars, *options, "--json", tmp_path / "r.json")
     seen = json.loads(cars.read_text())["instances"][1]
     pixels, confidence = np.array(seen["keypoints"]), np.array(seen["confidence"])
     solved = fgrecon.reconstruct(pixels, K, confidence=confidence, box=seen["box"], size_prior=size)

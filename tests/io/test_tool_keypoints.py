@@ -92,7 +92,7 @@ def test_a_vehicle_of_each_tool(tmp_path, name, content):
     check(fgrecon.keypoints_from(json.loads(row["instance"]))[0])
 
 
-def test_points_of_a_group_are_a_vehicle_and_hidden_ones_are_doubtful(tmp_path):
+def test_points_of_a_group_are_a_vehicle_and_hidden_ones_are_unsure(tmp_path):
     path = tmp_path / "annotations.xml"
     path.write_text(cvat(skeleton=False, occluded=1))
     (vehicle,) = read_any_keypoints(path, CATEGORY).instances

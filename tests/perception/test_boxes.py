@@ -38,8 +38,8 @@ def test_detected_cars_are_outlines_and_large_enough_for_keypoints(monkeypatch):
 
 def test_only_outlines_become_those_of_the_packages_detector():
     assert for_detected(None).box.model is BoxModel.DETECTED
-    told = Options(box=BoxOptions(sigma_pixels=3.0), ambiguity_margin=5.0)
-    assert for_detected(told) == Options(box=BoxOptions(BoxModel.DETECTED, sigma_pixels=3.0), ambiguity_margin=5.0)
+    given = Options(box=BoxOptions(sigma_pixels=3.0), ambiguity_margin=5.0)
+    assert for_detected(given) == Options(box=BoxOptions(BoxModel.DETECTED, sigma_pixels=3.0), ambiguity_margin=5.0)
     cuboid = Options(box="cuboid")
     assert for_detected(cuboid) is cuboid
 

@@ -60,18 +60,18 @@ def test_directions_of_an_uncalibrated_network_are_left_alone():
     assert ConfidenceCalibration.from_dict(before) == ConfidenceCalibration(bias=0.5)
 
 
-def test_left_and_right_are_told_apart_near_straight_ahead():
-    """Directions about 10 degrees left of ahead, smeared by 20, and a tenth of that turned round."""
+def test_left_and_right_are_distinguished_near_straight_ahead():
+    """Directions about 10 degrees left of ahead, smeared by 20, and a tenth of that flipped."""
     centres = 2.0 * np.pi * np.arange(36) / 36
     smeared = np.exp((np.cos(centres - np.radians(10.0)) - 1.0) / np.radians(20.0) ** 2)
     smeared /= smeared.sum()
     seen = 0.9 * smeared + 0.1 * np.roll(smeared, 18)
     plain = facing_probability(seen, np.pi / 2.0)
-    told = left_probability(seen)
-    assert told > plain + 0.1
-    assert told < 0.9  # a tenth is of a car that shows its right
+    probability = left_probability(seen)
+    assert probability > plain + 0.1
+    assert probability < 0.9  # a tenth is of a car that shows its right
     mirrored = np.concatenate([seen[:1], seen[:0:-1]])
-    assert left_probability(mirrored) == pytest.approx(1.0 - told)
+    assert left_probability(mirrored) == pytest.approx(1.0 - probability)
     assert left_probability(np.full(36, 1 / 36)) == pytest.approx(0.5)
     beside = np.roll(smeared, 8)  # 90 degrees to the left
     assert left_probability(beside) == pytest.approx(1.0, abs=1e-3)

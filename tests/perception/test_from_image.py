@@ -75,7 +75,7 @@ def test_clear_keypoints_give_the_pose_whatever_the_direction():
 
 
 def torn(turn):
-    """A car whose keypoints are half those of a pose and half those of the same pose turned round."""
+    """A car whose keypoints are half those of a pose and half those of the same pose flipped."""
     ahead, behind = pose_at(turn), pose_at(turn + np.pi)
     whole, other = (detection(pose, np.full(14, 0.9), azimuth_of(pose)) for pose in (ahead, behind))
     first = np.isin(np.arange(14), [0, 1, 4, 5, 10, 11, 8])
@@ -88,12 +88,12 @@ def torn(turn):
 def test_the_direction_decides_between_poses_that_explain_the_keypoints_alike(turn):
     seen, ahead, behind = torn(turn)
     for pose in (ahead, behind):
-        told = replace(seen, azimuth=seen_from(azimuth_of(pose)))
-        result = reconstruct_detection(told, CAMERA, options=FAST)
+        directed = replace(seen, azimuth=seen_from(azimuth_of(pose)))
+        result = reconstruct_detection(directed, CAMERA, options=FAST)
         assert orientation_error([result.rotation_y], [rotation_y(pose)])[0] < 30.0
         assert result.diagnostics.energies["direction"] < 0.7
         assert result.diagnostics.energies["direction"] == pytest.approx(
-            direction_penalty(told, result.camera_T_object)
+            direction_penalty(directed, result.camera_T_object)
         )
     off = replace(FAST, disabled_terms=[*FAST.disabled_terms, "direction"])
     ends = [
@@ -107,14 +107,14 @@ def test_the_direction_decides_between_poses_that_explain_the_keypoints_alike(tu
 def test_in_a_track_the_directions_of_all_images_count():
     seen, ahead, behind = torn(1.8)
     for pose in (ahead, behind):
-        told = replace(seen, azimuth=seen_from(azimuth_of(pose)))
+        directed = replace(seen, azimuth=seen_from(azimuth_of(pose)))
         unsure = replace(seen, azimuth=np.full(36, 1 / 36))
-        track = reconstruct_track([told.evidence, unsure.evidence, told.evidence], CAMERA, options=FAST)
+        track = reconstruct_track([directed.evidence, unsure.evidence, directed.evidence], CAMERA, options=FAST)
         turns = [frame.rotation_y for frame in track.frames]
         assert orientation_error(turns, [rotation_y(pose)] * 3).max() < 30.0
 
 
-def test_a_vehicle_is_told_in_a_line():
+def test_a_vehicle_is_shown_in_a_line():
     seen = detection(pose_at(0.8), np.full(14, 0.9), azimuth_of(pose_at(0.8)))
     other = detection(pose_at(0.8, (-4.0, 1.6, 18.0)), np.full(14, 0.9), azimuth_of(pose_at(0.8)))
     found, _ = reconstruct_detections([seen, other], CAMERA, options=FAST)
@@ -147,9 +147,9 @@ def test_classes_of_boxes_or_of_their_detector_tell_sizes():
         return [one.result.shape.prior for one in vehicles]
 
     assert priors(boxes=boxes, classes=[None, van]) == ["car14", "car14 of van"]
-    told = looking((van, VehicleClass("car")))
-    assert priors(vehicle_detector=told) == ["car14", "car14"]  # unless it is requested
-    assert priors(vehicle_detector=told, classes="detected") == ["car14 of van", "car14"]
+    classifying = looking((van, VehicleClass("car")))
+    assert priors(vehicle_detector=classifying) == ["car14", "car14"]  # unless it is requested
+    assert priors(vehicle_detector=classifying, classes="detected") == ["car14 of van", "car14"]
     found = [
         replace(detection(pose, np.full(14, 0.9), azimuth_of(pose)), kinds=kinds)
         for pose, kinds in zip(poses, [{"van": 1.0}, None], strict=True)

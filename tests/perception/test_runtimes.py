@@ -266,13 +266,13 @@ def test_weights_of_no_network_are_refused_alike(runtime, tmp_path, name, odd):
         for part, arrays in (("knet", stored.state), ("refine", stored.refinement))
     }
     KeypointCascade(save_weights(path, stored), runtime=name)
-    *how, told = ODD[odd]
+    *how, reason = ODD[odd]
     change(parts, *how)
     with safe_open(str(path), framework="pt") as file:
         about = file.metadata()
     arrays = {f"{p}.{n}": v.clone() for p, state in parts.items() for n, v in state.items() if "num_batches" not in n}
     path.write_bytes(save(arrays, about))
-    with pytest.raises(InvalidInputError, match=f"weights: got .*{told}"):
+    with pytest.raises(InvalidInputError, match=f"weights: got .*{reason}"):
         KeypointCascade(path, runtime=name)
 
 

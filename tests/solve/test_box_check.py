@@ -1,4 +1,4 @@
-"""Boxes that are all wrong alike are told of; right ones, single wrong ones and those of few vehicles are not."""
+"""Boxes that are all wrong alike are reported; right ones, single wrong ones and those of few vehicles are not."""
 
 from dataclasses import replace
 
@@ -26,10 +26,10 @@ def message(factors, *, box=BoxModel.SURFACE):
 
 
 @pytest.mark.parametrize(("factor", "word"), [(1.2, "larger"), (0.8, "smaller")])
-def test_boxes_that_are_all_wrong_alike_are_told_of(factor, word):
-    told = message([factor] * 6)
-    assert f"% {word} than their vehicles look" in told
-    percent = float(told.split("The boxes are ")[1].split(" %")[0])
+def test_boxes_that_are_all_wrong_alike_are_reported(factor, word):
+    warning = message([factor] * 6)
+    assert f"% {word} than their vehicles look" in warning
+    percent = float(warning.split("The boxes are ")[1].split(" %")[0])
     assert 5.0 < percent <= 20.0  # the boxes pull their vehicles towards them
 
 

@@ -37,27 +37,27 @@ def off(result, place=PLACES[0]):
 
 def test_a_van_is_where_it_is_by_its_class(van):
     without = fgrecon.reconstruct(seen(van), CAMERA, size_prior="kitti")
-    told = fgrecon.reconstruct(seen(van), CAMERA, size_prior="kitti", evidence=[VehicleClass("van")])
+    classed = fgrecon.reconstruct(seen(van), CAMERA, size_prior="kitti", evidence=[VehicleClass("van")])
     by_observation = fgrecon.reconstruct(
         seen(van, evidence=(VehicleClass("Van", "kitti"),)), CAMERA, size_prior="kitti"
     )
-    assert off(told) < 0.3 * off(without)
-    assert told.shape.prior == "car14 of van"
-    np.testing.assert_array_equal(told.location, by_observation.location)
+    assert off(classed) < 0.3 * off(without)
+    assert classed.shape.prior == "car14 of van"
+    np.testing.assert_array_equal(classed.location, by_observation.location)
 
 
 def test_no_fleet_and_another_fleet_leave_a_van_its_size(van):
     for fleet in (None, "apollo79"):
-        told = fgrecon.reconstruct(seen(van), CAMERA, size_prior=fleet, evidence=[VehicleClass("van")])
-        assert off(told) < 2.0, fleet
+        classed = fgrecon.reconstruct(seen(van), CAMERA, size_prior=fleet, evidence=[VehicleClass("van")])
+        assert off(classed) < 2.0, fleet
 
 
 def test_a_car_that_is_sure_to_be_one_is_of_its_fleet():
     one = seen(load_prior("car14"))
     for fleet in (None, "apollo79"):
         plain = fgrecon.reconstruct(one, CAMERA, size_prior=fleet)
-        told = fgrecon.reconstruct(one, CAMERA, size_prior=fleet, evidence=[VehicleClass("car")])
-        np.testing.assert_array_equal(told.location, plain.location)
+        classed = fgrecon.reconstruct(one, CAMERA, size_prior=fleet, evidence=[VehicleClass("car")])
+        np.testing.assert_array_equal(classed.location, plain.location)
 
 
 def test_each_vehicle_of_a_scene_has_its_own(van):
@@ -148,17 +148,19 @@ def lorry():
 def test_a_lorry_is_a_cuboid_and_says_so(lorry):
     one = seen(lorry, (2.0, 1.65, 25.0))
     alone = fgrecon.reconstruct(one, CAMERA, ground=1.65, size_prior="kitti")
-    told = fgrecon.reconstruct(one, CAMERA, ground=1.65, size_prior="kitti", evidence=[VehicleClass("Truck", "kitti")])
-    assert told.status is Status.WEAK
-    assert "the shape of a lorry is a cuboid" in told.reasons
-    assert told.shape.category == "cuboid14"
-    assert told.shape.keypoint_names == load_prior("car14").category.keypoints
-    assert np.abs(told.box_size - LORRY).max() < 1.0  # lorries are 10 m long on average
-    assert off(told, (2.0, 1.65, 25.0)) < 1.0 < off(alone, (2.0, 1.65, 25.0))
-    vertices = told.shape.surface_vertices
-    corners = np.abs(vertices / told.box_size[[0, 2, 1]])  # x, y and z
+    classed = fgrecon.reconstruct(
+        one, CAMERA, ground=1.65, size_prior="kitti", evidence=[VehicleClass("Truck", "kitti")]
+    )
+    assert classed.status is Status.WEAK
+    assert "the shape of a lorry is a cuboid" in classed.reasons
+    assert classed.shape.category == "cuboid14"
+    assert classed.shape.keypoint_names == load_prior("car14").category.keypoints
+    assert np.abs(classed.box_size - LORRY).max() < 1.0  # lorries are 10 m long on average
+    assert off(classed, (2.0, 1.65, 25.0)) < 1.0 < off(alone, (2.0, 1.65, 25.0))
+    vertices = classed.shape.surface_vertices
+    corners = np.abs(vertices / classed.box_size[[0, 2, 1]])  # x, y and z
     assert corners.max(axis=0) == pytest.approx([0.5, 1.0, 0.5], abs=0.02)
-    assert json.loads(json.dumps(told.to_dict()))["category"] == "cuboid14"
+    assert json.loads(json.dumps(classed.to_dict()))["category"] == "cuboid14"
 
 
 def test_a_lorry_has_points_on_its_sides(lorry):
@@ -170,8 +172,8 @@ def test_a_lorry_has_points_on_its_sides(lorry):
     shown = [(0, np.sign(sensor[0]) * 0.5 * LORRY[0]), (2, np.sign(sensor[2]) * 0.5 * LORRY[1])]
     sides = np.concatenate([vertices[np.isclose(vertices[:, axis], value, atol=1e-6)] for axis, value in shown])
     points = fgrecon.Points(sides @ rotation.T + place, 0.05)
-    told = VehicleClass("lorry"), points
-    found = fgrecon.reconstruct(one, CAMERA, ground=1.65, evidence=told)
+    given = VehicleClass("lorry"), points
+    found = fgrecon.reconstruct(one, CAMERA, ground=1.65, evidence=given)
     assert off(found, place) < 0.4
     assert found.diagnostics.point_weights.mean() > 0.5
 

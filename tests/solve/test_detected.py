@@ -91,7 +91,7 @@ def test_a_sure_network_turns_a_box_round_and_an_unsure_one_does_not(turned):
     assert vehicle.facing_probability > (0.8 if turned else 0.99)
 
 
-def test_keypoints_turned_round_as_a_whole_are_taken_so():
+def test_keypoints_flipped_as_a_whole_are_taken_so():
     """The network took the front for the rear, and its directions leave that open: the box decides."""
     prior, pose = load_prior("car14"), yaw_pose(0.6)
     there = pose @ np.diag([-1.0, 1.0, -1.0, 1.0])
@@ -118,7 +118,7 @@ def test_a_vehicle_without_a_box_among_others_is_as_it_would_be():
         assert np.array_equal(one.camera_T_object, other.camera_T_object)
 
 
-def test_of_a_fleet_that_nobody_told_are_those_without_a_box():
+def test_of_an_assumed_fleet_are_those_without_a_box():
     """A vehicle whose box tells its size says nothing of the others' fleet, wherever it stands in the list."""
     _, seen, boxes = street(7, count=3)
     orders = [[0, 1, 2], [1, 2, 0]]
@@ -200,7 +200,8 @@ def test_regions_rest_on_what_the_keypoints_brought_with_them():
     _, seen, boxes = street(0, count=1)
     plain = reconstruct_scene(seen, CAMERA, boxes=boxes, options=OPTIONS).vehicles[0]
     assert plain.uncertainty.regions is Regions.ASSUMED
-    told = [replace(one, covariance=np.tile(4.0 * np.eye(2), (14, 1, 1))) for one in seen]
+    given = [replace(one, covariance=np.tile(4.0 * np.eye(2), (14, 1, 1))) for one in seen]
     assert (
-        reconstruct_scene(told, CAMERA, boxes=boxes, options=OPTIONS).vehicles[0].uncertainty.regions is Regions.SHIPPED
+        reconstruct_scene(given, CAMERA, boxes=boxes, options=OPTIONS).vehicles[0].uncertainty.regions
+        is Regions.SHIPPED
     )

@@ -1,4 +1,4 @@
-"""Factors of the caller's own: in every solve, in the covariances, in what is told, for one image as for a track."""
+"""The caller's own factors: in every solve, in the covariances, in what is reported, for one image as for a track."""
 
 from __future__ import annotations
 
@@ -129,8 +129,8 @@ def test_they_are_reported(seen):
             assert step.energies["extra"] == pytest.approx(0.5 * (off / 0.2) ** 2, rel=1e-6, abs=1e-12)
         else:
             assert "extra" not in step.energies
-    (told,) = [factor for factor in result.diagnostics.graph if factor.term == "extra"]
-    assert told.variables == ("X(v=0,t=0)",)
+    (reported,) = [factor for factor in result.diagnostics.graph if factor.term == "extra"]
+    assert reported.variables == ("X(v=0,t=0)",)
     plain = reconstruct(seen, CAMERA)
     assert "extra" not in plain.diagnostics.energies
     assert "extra" not in {factor.term for factor in plain.diagnostics.graph}
@@ -143,10 +143,10 @@ def test_they_decide_between_proposals():
     other = start.alternatives[0]
     close = replace(start, alternatives=(replace(other, excess=5.0),))
     turned = gtsam.PoseRotationPrior3D(X(0, 0), gtsam.Rot3(other.camera_T_object[:3, :3]), isotropic(3, 0.05))
-    told = solve(problem, close, [turned])
+    decided = solve(problem, close, [turned])
     assert np.abs(plain.pose.matrix()[:3, 0] - other.camera_T_object[:3, 0]).max() > 0.3
-    np.testing.assert_allclose(told.pose.matrix()[:3, 0], other.camera_T_object[:3, 0], atol=0.2)
-    assert told.energies["extra"] < 20.0
+    np.testing.assert_allclose(decided.pose.matrix()[:3, 0], other.camera_T_object[:3, 0], atol=0.2)
+    assert decided.energies["extra"] < 20.0
     # A vague one that says the car points as it is thought to: the other proposal is so much worse.
     problem, start = problem_of(0)
     plain, close = solve(problem, start), replace(start, alternatives=(replace(start.alternatives[0], excess=5.0),))

@@ -31,7 +31,7 @@ def off(result, place):
     return float(np.linalg.norm(result.location - place))
 
 
-def test_a_van_is_told_from_a_car(vehicles):
+def test_a_van_is_distinguished_from_a_car(vehicles):
     car, van = (one.evidence[-1].probabilities["van"] for one in with_fitted_classes(vehicles, CAMERA, SETUP, None))
     assert car < 0.2 < 0.5 < van
     _, on_ground = with_fitted_classes(vehicles, CAMERA, SETUP, as_ground(1.65))
@@ -39,8 +39,8 @@ def test_a_van_is_told_from_a_car(vehicles):
 
 
 def test_whose_class_is_given_and_other_fleets_are_left_alone(vehicles):
-    told = [replace(vehicles[1], evidence=(VehicleClass("car"),))]
-    assert with_fitted_classes(told, CAMERA, SETUP, None) == told
+    given = [replace(vehicles[1], evidence=(VehicleClass("car"),))]
+    assert with_fitted_classes(given, CAMERA, SETUP, None) == given
     assert with_fitted_classes(vehicles, CAMERA, SolveSetup.of("car14", "kitti", None), None) == vehicles
     nothing = fgrecon.Observation.of(np.full((14, 2), np.nan))
     assert with_fitted_classes([nothing], CAMERA, SETUP, None) == [nothing]
@@ -89,6 +89,6 @@ def test_images_of_one_vehicle_say_together_which_it_is(vehicles):
         for fleet in ("kitti", "kitti_traffic")
     )
     assert off(mixed.frames[0], PLACES[1]) < 0.5 * off(found.frames[0], PLACES[1])
-    told = [replace(one, evidence=(VehicleClass("car"),)) for one in vehicles]
-    car = fgrecon.reconstruct_track([vehicles[1], told[1]], CAMERA, size_prior="kitti_traffic", ground=1.65)
+    given = [replace(one, evidence=(VehicleClass("car"),)) for one in vehicles]
+    car = fgrecon.reconstruct_track([vehicles[1], given[1]], CAMERA, size_prior="kitti_traffic", ground=1.65)
     assert off(car.frames[0], PLACES[1]) > 2.0 * off(mixed.frames[0], PLACES[1]), "what somebody says counts alone"

@@ -48,7 +48,7 @@ def test_near_cars_tell_the_focal_length():
     errors = []
     for seed in range(6):
         scene = reconstruct_scene(near(10 * seed, 3)[1], unknown(seed), size_prior="kitti")
-        assert scene.camera.focal_sigma < 0.3  # 0.5 was told
+        assert scene.camera.focal_sigma < 0.3  # 0.5 was given
         assert abs(error(scene)) < 3.0 * scene.camera.focal_sigma
         assert scene.focal_lengths[0] == (pytest.approx(scene.camera.matrix[0, 0]), 0.0)
         errors.append(error(scene))
@@ -66,7 +66,7 @@ def test_rotations_are_nearly_those_with_the_known_camera():
 
 
 def test_the_95_percent_region_holds():
-    """Far cars in the street: little is told, and that is said."""
+    """Far cars in the street: little is given, and that is said."""
     away, squared = [], []
     for seed in range(20):
         poses, seen = street(50 * seed + 3, count=2)
@@ -85,10 +85,10 @@ def test_the_95_percent_region_holds():
 def test_a_ground_at_a_known_height_tells_more():
     seen = street(4, count=4)[1]
     alone = reconstruct_scene(seen, unknown(1), size_prior="kitti")
-    told = reconstruct_scene(seen, unknown(1), size_prior="kitti", ground=1.65)
-    assert told.camera.focal_sigma < alone.camera.focal_sigma
-    assert "the ground and the focal length" in told.message
-    assert "focal length" in repr(told)
+    grounded = reconstruct_scene(seen, unknown(1), size_prior="kitti", ground=1.65)
+    assert grounded.camera.focal_sigma < alone.camera.focal_sigma
+    assert "the ground and the focal length" in grounded.message
+    assert "focal length" in repr(grounded)
 
 
 def test_the_uncertainty_is_in_the_poses():

@@ -16,7 +16,7 @@ from tests.solve.time.streets import CAMERA, PRIOR, seen, upright
 GROUND = 1.65
 GIVEN = Ground.level(GROUND)
 LEVEL = GroundFrame.of(GIVEN.normal, GROUND)
-SLOPE = np.array([0.05, 0.02, 0.0])  # the camera is 5 cm higher than told, and the road goes up
+SLOPE = np.array([0.05, 0.02, 0.0])  # the camera is 5 cm higher than given, and the road goes up
 SURE = np.array([0.01, 0.001, 0.001])
 
 
@@ -71,7 +71,7 @@ def slope_of(known):
     return ground.normal[2] / ground.normal[1]
 
 
-def test_the_first_frame_is_what_is_told_and_what_vehicles_say():
+def test_the_first_frame_is_what_is_given_and_what_vehicles_say():
     known = later(Video(), 0.0, GIVEN, None, Saying(SLOPE))
     ground = known.ground
     prior = np.array([GIVEN.height_sigma, GIVEN.slope_sigma, GIVEN.slope_sigma])
@@ -186,12 +186,12 @@ def test_vehicles_whose_errors_go_together_leave_the_ground_less_sure_and_in_pla
     np.testing.assert_array_equal(known[0].ground.normal, known[1].ground.normal)
     assert known[0].ground.slope_sigma == known[1].ground.slope_sigma
     grown = np.diag(known[1].covariance) / np.diag(known[0].covariance)
-    assert ((grown > 2.5) & (grown < 4.0)).all()  # what is told and what is forgotten count as they did
+    assert ((grown > 2.5) & (grown < 4.0)).all()  # what is given and what is forgotten count as they did
 
 
 @pytest.mark.parametrize("slope", [0.03, -0.03])
 def test_vehicles_tell_the_road(slope):
-    """Three cars on a slope; 20 m ahead their road is 0.6 m off the one that is told."""
+    """Three cars on a slope; 20 m ahead their road is 0.6 m off the one that is given."""
     rng = np.random.default_rng(0)
     places = [(-4.0, 10.0), (2.0, 20.0), (-3.0, 28.0)]
     poses = [upright(1.3, [x, GROUND + slope * z, z]) for x, z in places]
@@ -225,13 +225,13 @@ def standing(height, *, lean=0.0):
 
 
 @pytest.mark.parametrize("seen_poses", [(), standing(2.0)[:1]])
-def test_where_nothing_is_told_one_vehicle_tells_no_ground(seen_poses):
+def test_where_nothing_is_given_one_vehicle_tells_no_ground(seen_poses):
     vehicles = Silent(seen_poses)
     assert later(Video(), 0.0, None, None, vehicles) is None
     assert vehicles.looked_at == [None]
 
 
-def test_where_nothing_is_told_vehicles_tell_where_it_is():
+def test_where_nothing_is_given_vehicles_tell_where_it_is():
     road, first = Video(), Saying([0.1, 0.0, 0.0], poses=standing(2.0))
     known = later(road, 0.0, None, None, first)
     assert first.looked_at == [None], "once"
@@ -243,23 +243,23 @@ def test_where_nothing_is_told_vehicles_tell_where_it_is():
     assert ground.height_sigma > known.ground.height_sigma
 
 
-def test_a_ground_that_nobody_told_may_change_fast():
-    """A camera in a hand nods by three degrees; a mount of which somebody told would not."""
+def test_an_assumed_ground_may_change_fast():
+    """A camera in a hand nods by three degrees; a mount whose height is given does not."""
     slopes = []
-    for told in (None, GIVEN):
+    for given in (None, GIVEN):
         road = Video()
-        later(road, 0.0, told, None, Saying(np.zeros(3), poses=standing(GROUND)))
-        slopes.append(slope_of(later(road, 0.1, told, None, Saying([0.0, 0.05, 0.0]))))
+        later(road, 0.0, given, None, Saying(np.zeros(3), poses=standing(GROUND)))
+        slopes.append(slope_of(later(road, 0.1, given, None, Saying([0.0, 0.05, 0.0]))))
     assert slopes[0] == pytest.approx(0.05, rel=0.05)
     assert slopes[1] < 0.6 * 0.05
 
 
-def test_what_is_told_later_counts_at_once():
+def test_what_is_given_later_counts_at_once():
     road = Video()
     later(road, 0.0, None, None, Saying(np.zeros(3), poses=standing(3.0)))
     assert later(road, 0.1, GIVEN, None, Silent()).ground.distance == pytest.approx(GROUND)
-    untold = later(road, 0.2, None, None, Silent()).ground
-    assert untold.distance == pytest.approx(GROUND), "and is remembered"
+    remembered = later(road, 0.2, None, None, Silent()).ground
+    assert remembered.distance == pytest.approx(GROUND), "and is remembered"
 
 
 def test_another_camera_begins_anew_and_one_that_moved_sees_it_move():

@@ -32,7 +32,7 @@ def directions(azimuth, sure):
 
 
 def car(x, sure, *, turned, z=18.0):
-    """A car that faces as the camera looks, in a lane at x; its detector is right about it, or turned round."""
+    """A car that faces as the camera looks, in a lane at x; its detector is right about it, or flipped."""
     pose = np.eye(4)
     pose[:3, :3] = [[0, 0, -1], [0, 1, 0], [1, 0, 0]]  # forward is the camera's z
     pose[:3, 3] = x, 1.65, z
@@ -53,12 +53,12 @@ def solve(seen, traffic=None):
 
 
 @pytest.mark.parametrize("x", [0.5, 3.5])
-def test_an_unsure_network_that_is_turned_round_is_put_right(x):
+def test_an_unsure_network_that_is_flipped_is_put_right(x):
     seen, pose = car(x, 0.6, turned=True)
     assert not faces(solve(seen), pose)
-    told = solve(seen, "right")
-    assert faces(told, pose)
-    assert told.facing_probability > 0.5
+    coupled = solve(seen, "right")
+    assert faces(coupled, pose)
+    assert coupled.facing_probability > 0.5
 
 
 def test_a_sure_network_is_believed_against_the_traffic():
@@ -75,12 +75,12 @@ def test_the_other_side_of_the_road_says_the_opposite():
 
 def test_what_the_directions_say_beside_the_facing_stays():
     seen, _ = car(3.5, 0.9, turned=False)
-    (told,) = couple_facings([seen], KITTI_CAMERA, PRIOR, RIGHT)
-    assert told.azimuth.sum() == pytest.approx(1.0)
-    assert told.azimuth.argmax() == seen.azimuth.argmax()
+    (coupled,) = couple_facings([seen], KITTI_CAMERA, PRIOR, RIGHT)
+    assert coupled.azimuth.sum() == pytest.approx(1.0)
+    assert coupled.azimuth.argmax() == seen.azimuth.argmax()
     top = float(BINS[seen.azimuth.argmax()])
-    assert facing_probability(told.azimuth, top) > facing_probability(seen.azimuth, top)
-    np.testing.assert_array_equal(told.keypoints, seen.keypoints)
+    assert facing_probability(coupled.azimuth, top) > facing_probability(seen.azimuth, top)
+    np.testing.assert_array_equal(coupled.keypoints, seen.keypoints)
 
 
 def test_without_directions_or_anything_measured_nothing_changes():
@@ -122,9 +122,9 @@ def test_a_car_alone_or_far_from_all_others_stays_as_it_is():
 @pytest.mark.parametrize(("x", "alike"), [(3.5, True), (-3.5, False)])
 def test_a_row_faces_alike_and_the_other_side_of_a_street_does_not(x, alike):
     sure, unsure = car(3.5, 0.99, turned=False)[0], car(x, 0.6, turned=False, z=24.0)[0]
-    _, told = couple_facings([sure, unsure], KITTI_CAMERA, PRIOR, PLAIN)
+    _, coupled = couple_facings([sure, unsure], KITTI_CAMERA, PRIOR, PLAIN)
     top = float(BINS[unsure.azimuth.argmax()])
-    more = facing_probability(told.azimuth, top) > facing_probability(unsure.azimuth, top)
+    more = facing_probability(coupled.azimuth, top) > facing_probability(unsure.azimuth, top)
     assert more == alike
 
 
@@ -147,8 +147,8 @@ def test_probabilities_are_those_of_all_sides_together():
 def test_a_guess_of_the_yaw_comes_before_the_traffic():
     seen, pose = car(-6.0, 0.6, turned=False)  # stands on the wrong side of the road
     options = fgrecon.Options(traffic="right", keep_history=False)
-    told = fgrecon.reconstruct(seen, KITTI_CAMERA, ground=1.65, initial=-np.pi / 2, options=options)
-    assert faces(told, pose)
+    result = fgrecon.reconstruct(seen, KITTI_CAMERA, ground=1.65, initial=-np.pi / 2, options=options)
+    assert faces(result, pose)
 
 
 def test_a_video_and_images_of_one_car_know_the_traffic():
@@ -175,8 +175,8 @@ def test_keypoints_that_have_no_partners_are_not_turned():
     given, _ = car(2.0, 0.9, turned=False)
     keypoints = np.where(np.isin(names, few)[:, None], given.keypoints, np.nan)
     given = replace(given, keypoints=keypoints)
-    told = replace(given, azimuth=flipped_directions(given.azimuth))
-    problem = Problem.of(told, KITTI_CAMERA, prepare(PRIOR), None, PLAIN)
+    flipped = replace(given, azimuth=flipped_directions(given.azimuth))
+    problem = Problem.of(flipped, KITTI_CAMERA, prepare(PRIOR), None, PLAIN)
     found, start = estimate_pose(problem, given)
     assert found is problem
     assert np.isfinite(start.camera_T_object).all()

@@ -103,20 +103,20 @@ def test_a_result_holds_nothing_that_it_does_not_show(prior, seen):
 
 
 def test_the_size_of_one_car_tells_its_shape(prior):
-    """A long, tall car from few points: with its size told it comes out in shape, size and place."""
+    """A long, tall car from few points: with its size given it comes out in shape, size and place."""
     coefficients = np.array([1.5, -0.8, 0.6, 0.4, 0.0])
     pose, size = yaw_pose(0.6), prior.box_size(coefficients)
     observation = observe(prior, pose, coefficients, noise=1.0)
-    told = solve(observation, prior=prior, size_prior=",".join(f"{length:.3f}" for length in size))
-    untold = solve(observation, prior=prior)
-    assert told.shape.prior.startswith("car14 given ")
-    assert "dimensions" not in told.diagnostics.energies
-    assert told.box_size == pytest.approx(size, rel=0.03)
+    sized = solve(observation, prior=prior, size_prior=",".join(f"{length:.3f}" for length in size))
+    unsized = solve(observation, prior=prior)
+    assert sized.shape.prior.startswith("car14 given ")
+    assert "dimensions" not in sized.diagnostics.energies
+    assert sized.box_size == pytest.approx(size, rel=0.03)
     shape = prior.keypoints(coefficients)
-    away = [np.linalg.norm(result.wireframe - shape, axis=1).mean() for result in (told, untold)]
+    away = [np.linalg.norm(result.wireframe - shape, axis=1).mean() for result in (sized, unsized)]
     assert away[0] < 0.04
     assert away[0] < away[1]
-    assert np.linalg.norm(told.camera_T_object[:3, 3] - pose[:3, 3]) < 0.3
+    assert np.linalg.norm(sized.camera_T_object[:3, 3] - pose[:3, 3]) < 0.3
 
 
 def test_json_keeps_every_bit(seen):
@@ -165,7 +165,7 @@ def assert_alike(a, b, tolerance=1e-6):
 
 
 def test_a_lens_changes_nothing_but_the_pixels(seen):
-    """Through a distorting lens, told of it, the same car comes out; its wireframe is drawn through the lens."""
+    """Through a distorting lens that is given, the same car comes out; its wireframe is drawn through the lens."""
     observation, _ = seen
     lens = [-0.3, 0.1, 0.001, -0.0005, -0.02]
     camera = Camera(MATRIX, np.array(lens))

@@ -28,13 +28,13 @@ def other(degrees, excess):
 )
 def test_they_add_up_and_the_lower_energy_is_more_probable(given_, facing):
     others = with_probabilities(POSE, SHAPE, [other(*one) for one in given_], facing)
-    told = np.array([one.probability for one in others])
-    assert (told >= 0.0).all()
-    assert told.sum() <= 1.0 + 1e-12
+    probabilities = np.array([one.probability for one in others])
+    assert (probabilities >= 0.0).all()
+    assert probabilities.sum() <= 1.0 + 1e-12
     turned = np.array(
         [abs(wrap_angle(np.arctan2(-o.camera_T_object[2, 0], o.camera_T_object[0, 0]) - 0.3)) for o in others]
     )
-    behind = told[turned > np.pi / 2].sum()
+    behind = probabilities[turned > np.pi / 2].sum()
     if 1.0 - facing >= 0.01 and np.all(np.abs(turned - np.pi / 2) > 1e-6):
         assert behind == pytest.approx(1.0 - facing)  # some pose faces the other way
     for here, one in zip(turned, others, strict=True):
@@ -50,7 +50,7 @@ def test_a_facing_without_a_pose_gets_one():
     assert with_probabilities(POSE, SHAPE, [], 0.995) == ()
 
 
-def test_nothing_is_told_where_nothing_is_known():
+def test_nothing_is_reported_where_nothing_is_known():
     unknown = [other(180.0, float("nan"))]
     assert np.isnan(facing_by_energies(POSE, unknown))
     assert np.isnan(with_probabilities(POSE, SHAPE, unknown, 0.9)[0].probability)

@@ -39,9 +39,9 @@ def car(seed):
     return observe(PRIOR, pose, 0.7 * rng.normal(size=5), noise=1.0, seed=seed)
 
 
-def solve(observation, camera=KNOWN, **told):
-    told = {"ground": 1.65, "size_prior": "kitti", "options": FAST} | told
-    return fgrecon.reconstruct(observation, camera, **told)
+def solve(observation, camera=KNOWN, **inputs):
+    inputs = {"ground": 1.65, "size_prior": "kitti", "options": FAST} | inputs
+    return fgrecon.reconstruct(observation, camera, **inputs)
 
 
 def close(found, wanted, scale=1.0):
@@ -66,11 +66,11 @@ def test_scaled_pixels_and_intrinsics_change_nothing(seed, scale):
         FAST, keypoints=replace(FAST.keypoints, sigma_pixels=1e-3), box=replace(FAST.box, sigma_pixels=1e-3)
     )
     seen = car(seed)
-    told = {"ground": 1.65, "size_prior": "kitti", "options": exact}
-    one = fgrecon.reconstruct(seen, KNOWN, **told)
+    inputs = {"ground": 1.65, "size_prior": "kitti", "options": exact}
+    one = fgrecon.reconstruct(seen, KNOWN, **inputs)
     larger = replace(seen, keypoints=seen.keypoints * scale, box=None if seen.box is None else seen.box * scale)
     matrix = np.diag([scale, scale, 1.0]) @ KNOWN.matrix
-    other = fgrecon.reconstruct(larger, Camera(matrix), **told)
+    other = fgrecon.reconstruct(larger, Camera(matrix), **inputs)
     if settled(one):
         close(other.camera_T_object, one.camera_T_object)
 
@@ -129,8 +129,8 @@ def test_a_point_that_was_not_measured_may_lie_anywhere(seed, point):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_car_that_is_given_twice_is_found_twice(seed):
     seen = [car(seed), car(seed)]
-    told = {"ground": 1.65, "size_prior": "kitti", "options": FAST}
-    first, second = reconstruct_scene(seen, KNOWN, **told).vehicles
+    inputs = {"ground": 1.65, "size_prior": "kitti", "options": FAST}
+    first, second = reconstruct_scene(seen, KNOWN, **inputs).vehicles
     close(first.camera_T_object, second.camera_T_object)
 
 

@@ -216,7 +216,7 @@ def test_a_broken_factor_does_not_take_the_process_down():
 
 
 @pytest.mark.parametrize(("yaw", "radians"), [(90.0, "1.5708"), (1e300, "1.74533e+298")])
-def test_degrees_are_told_in_radians(yaw, radians):
+def test_degrees_are_named_in_radians(yaw, radians):
     with pytest.raises(InvalidInputError) as caught:
         reconstruct(few(14), MATRIX, initial=yaw)
     assert caught.value.fix.endswith(f"are {radians}.")

@@ -79,8 +79,8 @@ def test_sizes_are_as_uncertain_as_those_of_the_traffic():
     assert np.trace(with_vans.uncertainty.pose_covariance[3:, 3:]) > np.trace(alone.uncertainty.pose_covariance[3:, 3:])
 
 
-def test_where_no_fleet_is_told_it_may_be_another_one():
-    """The prior and regions are wider by that; a size that is told is known."""
+def test_where_no_fleet_is_given_it_may_be_another_one():
+    """The prior and regions are wider by that; a size that is given is known."""
     given, prior = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5), load_prior("car14")
     model, mean = prepare(prior), prior.box_size(np.zeros(prior.dimension))
     basis = model.dimension_basis
@@ -89,12 +89,12 @@ def test_where_no_fleet_is_told_it_may_be_another_one():
     known = SizePrior("known", mean, np.full(3, 0.01))
     np.testing.assert_array_equal(prepare(prior, known).traffic_spread, np.eye(prior.dimension))
     results = {}
-    for name, size in (("untold", None), ("its own", SizePrior("its own", mean, np.sqrt(np.diag(basis @ basis.T))))):
+    for name, size in (("assumed", None), ("its own", SizePrior("its own", mean, np.sqrt(np.diag(basis @ basis.T))))):
         results[name] = fgrecon.reconstruct(given, CAMERA, size_prior=size)
     spread = {name: np.trace(one.uncertainty.size_covariance) for name, one in results.items()}
-    assert spread["untold"] > 1.2 * spread["its own"]
+    assert spread["assumed"] > 1.2 * spread["its own"]
     far = {name: np.trace(one.uncertainty.pose_covariance[3:, 3:]) for name, one in results.items()}
-    assert far["untold"] > 1.2 * far["its own"]
+    assert far["assumed"] > 1.2 * far["its own"]
 
 
 def test_who_knows_that_the_fleet_is_the_priors_own_says_so():
@@ -130,7 +130,7 @@ def test_what_a_solve_allows_is_a_spread(allowed):
         SizePrior("some", np.ones(3), np.ones(3), allowed=allowed)
 
 
-def test_a_solve_is_told_what_it_allows():
+def test_a_solve_is_given_what_it_allows():
     given, fleet = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5), size_prior("kitti")
     loose, tight = (SizePrior("cars", fleet.mean, fleet.sigma, allowed=share * fleet.sigma) for share in (1.0, 0.1))
     away = [fgrecon.reconstruct(given, CAMERA, size_prior=size).box_size - fleet.mean for size in (loose, tight)]

@@ -52,7 +52,7 @@ def errors_of(scene, poses):
 
 
 def test_a_pitched_camera_is_found_and_cars_come_closer():
-    """Told a level camera 1.65 m up; the road is pitched by 1.5 degrees."""
+    """Given a level camera 1.65 m up; the road is pitched by 1.5 degrees."""
     alone, together, pitches = [], [], []
     for seed in range(4):
         poses, seen = street(10 * seed)
@@ -63,7 +63,7 @@ def test_a_pitched_camera_is_found_and_cars_come_closer():
         pitches.append(np.arctan2(scene.ground.normal[2], scene.ground.normal[1]))
         assert scene.ground_covariance.shape == (3, 3)
         sigma = np.sqrt(np.diag(scene.ground_covariance))
-        assert (sigma[0] < 0.2, sigma[1] < 0.0125) == (True, True)  # surer than what was told
+        assert (sigma[0] < 0.2, sigma[1] < 0.0125) == (True, True)  # surer than what was given
     _, normal = on_the_road(np.random.default_rng(0))
     truth = np.arctan2(normal[2], normal[1])
     assert np.abs(np.array(pitches) - truth).mean() < 0.5 * abs(truth)
@@ -74,7 +74,7 @@ def test_a_pitched_camera_is_found_and_cars_come_closer():
     ("ground", "size_prior", "furthest"), [(None, "kitti", 0.05), (Ground.of_height(6.0), None, 0.07)]
 )
 def test_a_roadside_camera_is_found(ground, size_prior, furthest):
-    """6 m up, 15 degrees down; told are sizes alone, or the height alone."""
+    """6 m up, 15 degrees down; given are sizes alone, or the height alone."""
     tilts, heights, shares = [], [], []
     for seed in (3, 4, 5):
         poses, seen = street(seed, count=6, height=6.0, pitch=np.radians(15.0))
@@ -88,7 +88,7 @@ def test_a_roadside_camera_is_found(ground, size_prior, furthest):
     assert np.median(shares) < furthest
 
 
-def test_a_vaguely_told_ground_leaves_vehicles_as_near_to_it():
+def test_a_vaguely_given_ground_leaves_vehicles_as_near_to_it():
     """What is not known is the plane; the vehicles stand on it as on any other."""
     known, vague = Ground.level(1.65), Ground.of_height(1.65)
     assert (known.is_vague, vague.is_vague) == (False, True)

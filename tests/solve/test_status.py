@@ -35,7 +35,7 @@ def solved():
 def status_of(solved, monkeypatch):
     """Status and message of the result with a covariance, alternatives, options or an end of one's own."""
 
-    def told(covariance=TIGHT, *, alternatives=(), options=None, **ending):
+    def judged(covariance=TIGHT, *, alternatives=(), options=None, **ending):
         problem = solved.problem if options is None else replace(solved.problem, options=options)
         adjusted = replace(
             solved.adjusted, alternatives=(alternatives,), optimum=replace(solved.adjusted.optimum, **ending)
@@ -47,7 +47,7 @@ def status_of(solved, monkeypatch):
         assert [other.excess for other in result.uncertainty.alternatives] == [other.excess for other in alternatives]
         return result.status, result.message
 
-    return told
+    return judged
 
 
 def test_a_clear_result(status_of):
@@ -87,8 +87,8 @@ def test_another_pose_within_the_margin_is_ambiguous(solved, status_of, margin):
         assert ("turned by 180 degrees" in message) == (expected is Status.AMBIGUOUS)
 
 
-def test_a_pose_that_is_hardly_turned_is_told_by_its_distance(solved, status_of):
-    for degrees, told in (
+def test_a_pose_that_is_hardly_turned_is_judged_by_its_distance(solved, status_of):
+    for degrees, words in (
         (0.0, "A pose 0.23 m and 0 degrees away is"),
         (1.0, "0.23 m and 1 degree away"),
         (20, "turned by 20 d"),
@@ -96,7 +96,7 @@ def test_a_pose_that_is_hardly_turned_is_told_by_its_distance(solved, status_of)
         other = solved.pose.matrix() @ yaw_pose(np.radians(degrees), (0.0, 0.0, 0.0))
         other[:3, 3] += [0.0, 0.0, 0.23]
         _, message = status_of(alternatives=(Alternative(other, solved.coefficients, 0.8),))
-        assert told in message
+        assert words in message
 
 
 def test_whole_cars_and_halves():
@@ -148,15 +148,15 @@ def test_directions_that_leave_the_other_facing_open_are_ambiguous(behind, statu
     bin_ = round(float(view_azimuth(pose[:3, :3], pose[:3, 3])) / (2 * np.pi) * 36) % 36
     directions = np.zeros(36)
     directions[bin_], directions[(bin_ + 18) % 36] = 1.0 - behind, behind
-    told = reconstruct(replace(seen, azimuth=directions), CAMERA, ground=1.65)
-    assert told.status is status
-    assert told.facing_probability == pytest.approx(calibrated_facing(1.0 - behind, *FACING), abs=1e-6)
+    result = reconstruct(replace(seen, azimuth=directions), CAMERA, ground=1.65)
+    assert result.status is status
+    assert result.facing_probability == pytest.approx(calibrated_facing(1.0 - behind, *FACING), abs=1e-6)
     assert reconstruct(seen, CAMERA, ground=1.65).facing_probability > 0.95  # by the energies
     assert np.isnan(reconstruct(seen, CAMERA, options=make_options(strategy="paper")).facing_probability)
-    back = Reconstruction.from_dict(told.to_dict(compact=True))
-    assert back.facing_probability == told.facing_probability
+    back = Reconstruction.from_dict(result.to_dict(compact=True))
+    assert back.facing_probability == result.facing_probability
     if status is Status.AMBIGUOUS:
-        assert "for the other facing" in told.message
+        assert "for the other facing" in result.message
 
 
 def test_the_calibration_keeps_the_order_and_is_less_sure():

@@ -67,10 +67,10 @@ def test_every_pose_is_near_the_truth(solved):
 def test_many_images_tell_the_shape_better_than_the_average_one(car):
     """Where their errors have nothing in common, as here."""
     _, seen = drive(car, np.random.default_rng(5))
-    told = {"ground": 1.65, "size_prior": "apollo79"}
-    track = reconstruct_track(seen, KITTI_CAMERA, **told, options=make_options(common_error=0.0))
+    given = {"ground": 1.65, "size_prior": "apollo79"}
+    track = reconstruct_track(seen, KITTI_CAMERA, **given, options=make_options(common_error=0.0))
     alone = [
-        fgrecon.reconstruct(s.keypoints, KITTI_CAMERA, confidence=s.confidence, box=s.box, **told)
+        fgrecon.reconstruct(s.keypoints, KITTI_CAMERA, confidence=s.confidence, box=s.box, **given)
         for s in seen
         if s is not None
     ]

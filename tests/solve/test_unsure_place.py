@@ -38,15 +38,15 @@ def off(vehicles: object) -> float:
 def test_vehicles_tell_how_a_sensor_is_turned(scene: tuple[list[Observation], np.ndarray]) -> None:
     seen, points = scene
     believed = reconstruct_scene(seen, CAMERA, **HOW, evidence=[Points(points)])
-    told = reconstruct_scene(seen, CAMERA, **HOW, evidence=[Points(points, place_sigma=PLACE)])
+    estimated = reconstruct_scene(seen, CAMERA, **HOW, evidence=[Points(points, place_sigma=PLACE)])
     least = off(reconstruct_scene(seen, CAMERA, **HOW, evidence=[Points(_moved(points))]).vehicles)
-    assert off(told.vehicles) - least < 0.5 * (off(believed.vehicles) - least)
-    found = told.vehicles[0].diagnostics
+    assert off(estimated.vehicles) - least < 0.5 * (off(believed.vehicles) - least)
+    found = estimated.vehicles[0].diagnostics
     sigma = np.sqrt(np.diag(found.place_covariances[0]))
     assert (sigma[:2] < 0.5 * PLACE[0]).all()
     assert (np.abs(found.place_errors[0] - ERROR)[:3] < 3.0 * sigma[:3]).all()
     assert np.abs(found.place_errors[0] - ERROR)[1] < 0.4 * abs(ERROR[1])
-    for one in told.vehicles:
+    for one in estimated.vehicles:
         assert one.diagnostics.place_errors == pytest.approx(found.place_errors), "one sensor of one image"
     assert len(believed.vehicles[0].diagnostics.place_errors) == 0
 

@@ -23,7 +23,7 @@ POSE = yaw_pose(0.6)
 SIZE = np.array([4.0, 1.7, 1.5])
 
 
-def told(**changed):
+def reasons_of(**changed):
     """The reasons of a car that has none, but for what is changed."""
     given = {
         "observation": Observation(np.full((14, 2), 300.0), np.full(14, 0.9), confidence_midpoint=0.5),
@@ -38,42 +38,42 @@ def told(**changed):
 
 
 def test_a_clear_car_has_no_reasons():
-    assert told() == ()
+    assert reasons_of() == ()
 
 
 def test_few_keypoints():
-    assert told(weights=np.full(14, 5.51 / 14)) == ()
-    (reason,) = told(weights=np.full(14, 5.49 / 14))
+    assert reasons_of(weights=np.full(14, 5.51 / 14)) == ()
+    (reason,) = reasons_of(weights=np.full(14, 5.49 / 14))
     assert reason == "keypoints of weight 5.5 of 14 carry it"
 
 
 def test_an_unsure_detector_and_points_without_confidences():
     points = np.full((14, 2), 300.0)
     half = Observation.of(points)  # nothing is said: each is as likely right as wrong
-    assert told(observation=half) == ()
+    assert reasons_of(observation=half) == ()
     unsure = np.full(14, 0.28)  # 0.28^2 / (0.28^2 + 0.5^2) = 0.239
-    (reason,) = told(observation=Observation(points, unsure, confidence_midpoint=0.5))
+    (reason,) = reasons_of(observation=Observation(points, unsure, confidence_midpoint=0.5))
     assert "holds 24 % of its keypoints right" in reason
     seen = points.copy()
     seen[8:] = np.nan  # what was not measured is not unsure
-    assert told(observation=Observation(seen, np.full(14, 0.9), confidence_midpoint=0.5)) == ()
+    assert reasons_of(observation=Observation(seen, np.full(14, 0.9), confidence_midpoint=0.5)) == ()
 
 
 def test_a_car_mostly_outside_of_the_image():
     camera = Camera.of(CAMERA)
     corner = camera.project(POSE[:3, 3])  # in the middle of the box, about
     for width, expected in ((corner[0] + 60.0, 0), (corner[0] - 60.0, 1)):
-        assert len(told(camera=replace(camera, image_size=(round(width), 375)))) == expected
+        assert len(reasons_of(camera=replace(camera, image_size=(round(width), 375)))) == expected
     near = POSE.copy()
     near[2, 3] = 1.0  # a corner behind the camera
-    assert "100 % of its box is outside" in told(camera_T_object=near, ground=None)[0]
-    assert told(camera=camera) == ()  # of unknown size
+    assert "100 % of its box is outside" in reasons_of(camera_T_object=near, ground=None)[0]
+    assert reasons_of(camera=camera) == ()  # of unknown size
 
 
 def test_an_improbable_shape():
-    assert told(coefficients=np.array([0.0, -2.9])) == ()
-    assert told(coefficients=np.array([0.0, -3.1])) == ("its shape is 3.1 standard deviations from the mean",)
-    assert told(coefficients=np.zeros(0)) == ()
+    assert reasons_of(coefficients=np.array([0.0, -2.9])) == ()
+    assert reasons_of(coefficients=np.array([0.0, -3.1])) == ("its shape is 3.1 standard deviations from the mean",)
+    assert reasons_of(coefficients=np.zeros(0)) == ()
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -81,10 +81,10 @@ def test_off_the_ground(side):
     sigma = Ground.level(1.65).height_sigma_at_depth(float(POSE[2, 3]))
     for times, expected in ((1.9, 0), (2.1, 1)):
         plane = Ground.level(float(POSE[1, 3]) - side * times * sigma)
-        assert len(told(ground=plane)) == expected
+        assert len(reasons_of(ground=plane)) == expected
     (reason,) = off_ground(side * 0.5, 0.2)
     assert reason == f"it is 0.50 m {'below' if side > 0 else 'above'} the ground, 2.5 standard deviations"
-    assert told(ground=None) == ()
+    assert reasons_of(ground=None) == ()
 
 
 def test_only_what_converged_becomes_weak():

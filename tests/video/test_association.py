@@ -68,7 +68,7 @@ def test_after_a_while_a_track_is_dead():
     assert gone == [0]
 
 
-def test_boxes_that_overlap_are_told_apart_by_where_they_stand():
+def test_boxes_that_overlap_are_distinguished_by_where_they_stand():
     """A near car comes into the line of sight in the very frame in which the far one is not detected."""
     far, near = np.array([0.0, 1.65, 30.0]), np.array([0.3, 1.65, 18.0])
     boxes = box_of(far), box_of(near)
@@ -78,7 +78,7 @@ def test_boxes_that_overlap_are_told_apart_by_where_they_stand():
     assert follow(alone) == [[0], [0]]
 
 
-def test_boxes_that_overlap_are_told_apart_by_which_way_they_face():
+def test_boxes_that_overlap_are_distinguished_by_which_way_they_face():
     """One car half behind another, which faces the other way; a detector's boxes of them change places for a frame."""
     ahead, behind = np.eye(36)[[0, 18]] * 0.95 + 0.05 / 36
     left, right = np.array([100.0, 100.0, 160.0, 150.0]), np.array([125.0, 100.0, 185.0, 150.0])

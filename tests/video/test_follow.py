@@ -1,4 +1,4 @@
-"""Following vehicles: ids, the camera's place in the world, and what the association is told."""
+"""Following vehicles: ids, the camera's place in the world, and what the association is given."""
 
 import json
 from dataclasses import replace
@@ -52,11 +52,11 @@ def test_a_frame_has_the_window_that_is_asked_for():
     first, second = simulated(2, seeds=(25, 7))
     asked = []
     follow = follower(ground=Ground.level(1.65), window_graph=lambda identity: (asked.append(identity), (identity,))[1])
-    told = follow(record(0, Sighting(first[0].box, 1.0, 3, first[0]), Sighting(second[0].box, 1.0, 4, second[0])))
-    distance = {i: np.linalg.norm(e.reconstruction.location) for i, e in told.estimates.items()}
+    followed = follow(record(0, Sighting(first[0].box, 1.0, 3, first[0]), Sighting(second[0].box, 1.0, 4, second[0])))
+    distance = {i: np.linalg.norm(e.reconstruction.location) for i, e in followed.estimates.items()}
     nearest = min(distance, key=distance.get)
     assert asked == [nearest]
-    assert told.window == (nearest,)
+    assert followed.window == (nearest,)
     assert follow(record(1)).window == ()
     assert follower()(record(0, Sighting(first[0].box, 1.0, 3, first[0]))).window == ()
 
@@ -89,28 +89,28 @@ def test_the_world_is_made_of_motions():
 def test_the_motion_up_to_a_frame_that_is_left_out_is_no_less_a_part_of_the_way():
     """The next motion begins at its image; where it is not known, nothing is known of the way since."""
     follow = follower(moving=True)
-    told = []
-    follow.tracker.update = lambda *_, motion_covariance, **__: told.append(motion_covariance) or {}
+    covariances = []
+    follow.tracker.update = lambda *_, motion_covariance, **__: covariances.append(motion_covariance) or {}
     places = []
     for number, time, motion in ((0, 0.0, None), (1, 0.1, step(1.0)), (2, 0.1, step(1.0)), (3, 0.2, step(1.0))):
         places.append(follow(FrameRecord(number, time, f"{number}.png", None, (), motion)).world_T_camera)
     assert [None if p is None else p[2, 3] for p in places] == [0.0, 1.0, None, 3.0]
-    assert np.diag(told[-1])[[0, 5]] == pytest.approx([2e-4, 2e-4])
+    assert np.diag(covariances[-1])[[0, 5]] == pytest.approx([2e-4, 2e-4])
     follow(FrameRecord(4, 0.2, "4.png", None, (), None))
     follow(FrameRecord(5, 0.3, "5.png", None, (), step(1.0)))
-    assert np.sqrt(told[-1][5, 5]) > 1.0
+    assert np.sqrt(covariances[-1][5, 5]) > 1.0
 
 
 def test_a_camera_whose_motion_is_lost_has_no_place():
     """It goes on for a second; later motions know that nothing is known of those between."""
     follow = follower(moving=True)
     assert [follow(record(n)).world_T_camera is None for n in range(4)] == [False, True, True, True]
-    told = []
-    follow.tracker.update = lambda *_, motion_covariance, **__: told.append(motion_covariance) or {}
+    covariances = []
+    follow.tracker.update = lambda *_, motion_covariance, **__: covariances.append(motion_covariance) or {}
     motions = {4: step(1.0), 20: step(1.0), 21: step(1.0)}
     placed = [n for n in range(4, 23) if follow(record(n, motion=motions.get(n))).world_T_camera is not None]
     assert placed == [*range(4, 15), 20, 21, 22]
-    by_number = dict(zip(range(4, 23), told, strict=True))
+    by_number = dict(zip(range(4, 23), covariances, strict=True))
     assert by_number[17] is None
     sigmas = {n: np.sqrt(np.diag(by_number[n])[[0, 5]]) for n in (4, 5, 20, 21)}
     assert sigmas[4][1] == pytest.approx(np.hypot(0.01, 0.3 * 20.0))
@@ -179,20 +179,20 @@ def test_single_images_tell_their_facing_and_why_they_refuse():
     assert tracker.smooth()[1] == [found[1]]
 
 
-def test_a_tracker_is_told_how_sure_a_motion_is():
-    told = []
+def test_a_tracker_is_given_how_sure_a_motion_is():
+    covariances = []
 
     class Listening(SingleImageTracker):
         def update(self, time, observations, *, motion_covariance=None, **arguments):
-            told.append(motion_covariance)
+            covariances.append(motion_covariance)
             return super().update(time, observations, **arguments)
 
     follow = Follower(Listening(prior="car14"), GatedAssociation(), KITTI_CAMERA, moving=True)
     for one in (record(0), record(1, motion=step(1.0)), record(2)):
         follow(one)
-    assert told[0] is None
-    assert told[1] == pytest.approx(1e-4 * np.eye(6))
-    assert told[2][5, 5] > 0.1**2
+    assert covariances[0] is None
+    assert covariances[1] == pytest.approx(1e-4 * np.eye(6))
+    assert covariances[2][5, 5] > 0.1**2
 
 
 def test_a_vehicle_is_of_the_kind_that_most_of_its_frames_gave():
@@ -215,21 +215,23 @@ def test_a_vehicle_is_of_the_kind_that_most_of_its_frames_gave():
 def test_lines_of_frames_tell_the_ground_to_exports(tmp_path):
     (seen, *_) = simulated(1, seeds=(7,))[0]
     frame = follower()(record(0, Sighting(seen.box, 1.0, 3, seen)))
-    for told in (Ground(np.array([0.0, 1.0, 0.1]), 1.5), None):
-        (file := tmp_path / "frames.jsonl").write_text("".join(frame_lines([frame], told)))
+    for given in (Ground(np.array([0.0, 1.0, 0.1]), 1.5), None):
+        (file := tmp_path / "frames.jsonl").write_text("".join(frame_lines([frame], given)))
         ((vehicle,), _) = read_video_frames(file)
-        if told is None:
+        if given is None:
             assert vehicle.ground is None
         else:
-            np.testing.assert_allclose([*vehicle.ground.normal, vehicle.ground.distance], [*told.normal, told.distance])
+            np.testing.assert_allclose(
+                [*vehicle.ground.normal, vehicle.ground.distance], [*given.normal, given.distance]
+            )
 
 
 def test_a_tracker_is_given_what_other_sensors_say_of_the_frame():
-    told = []
+    given = []
 
     class Listening(SingleImageTracker):
         def update(self, time, observations, *, evidence=(), **arguments):
-            told.append(evidence)
+            given.append(evidence)
             return super().update(time, observations, evidence=evidence, **arguments)
 
     points = Points(np.array([[0.0, 0.0, 10.0]]))
@@ -238,4 +240,4 @@ def test_a_tracker_is_given_what_other_sensors_say_of_the_frame():
     follow = Follower(Listening(prior="car14"), GatedAssociation(), KITTI_CAMERA, sense=sense)
     for one in (record(0), record(1)):
         follow(one)
-    assert told == [(), (points,)]
+    assert given == [(), (points,)]

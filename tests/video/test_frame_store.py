@@ -34,7 +34,7 @@ def frames():
     return found
 
 
-def told(frames):
+def fields_of(frames):
     return (
         [*frame_lines(frames)],
         rows_of(frames, flat=False),
@@ -45,7 +45,7 @@ def told(frames):
 def test_frames_come_back(frames, tmp_path):
     store = FrameStore(frames, folder=tmp_path)
     assert (len(store), [frame.number for frame in store]) == (3, [0, 1, 2])
-    assert told(store) == told(frames)
+    assert fields_of(store) == fields_of(frames)
     assert [frame.number for frame in store[1:]] == [1, 2]
     assert plain(store[1].observations[1].keypoints) == plain(frames[1].observations[1].keypoints)
     with pytest.raises(IndexError):

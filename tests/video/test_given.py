@@ -121,7 +121,7 @@ def test_images_are_found_among_the_frames(tmp_path):
     assert list(read_given(keypoints(tmp_path, ["right/0.png"]), CAR14, source=source).vehicles) == [1]
 
 
-def test_numbered_images_are_told_by_their_numbers(tmp_path):
+def test_numbered_images_are_known_by_their_numbers(tmp_path):
     (tmp_path / "a").mkdir()
     for number in (3, 4):
         (tmp_path / "a" / f"left_{number}.png").touch()

@@ -38,7 +38,7 @@ def image_tracker(*frames, **arguments):
     return ImageTracker(vehicle_detector=shown.boxes, keypoint_detector=shown, **arguments)
 
 
-def test_the_estimates_are_those_of_a_tracker_that_is_told_the_keypoints(tmp_path):
+def test_the_estimates_are_those_of_a_tracker_that_is_given_the_keypoints(tmp_path):
     frames = list(zip(*simulated(4), strict=True))
     images = image_tracker(*frames, size_prior="kitti", shared_ground=True)
     keypoints = fgrecon.Tracker(size_prior="kitti", shared_ground=True)
@@ -49,11 +49,11 @@ def test_the_estimates_are_those_of_a_tracker_that_is_told_the_keypoints(tmp_pat
         if t < 3:
             at["world_T_camera"] = yaw_pose(0.0, np.array([0.0, 0.0, 0.3 * t]))
         found = images.update(0.1 * t, image, **at)
-        told = keypoints.update(0.1 * t, dict(enumerate(observations)), **at)
+        expected = keypoints.update(0.1 * t, dict(enumerate(observations)), **at)
         assert sorted(found) == [0, 1]
         for i, estimate in found.items():
             np.testing.assert_array_equal(
-                estimate.reconstruction.camera_T_object, told[i].reconstruction.camera_T_object
+                estimate.reconstruction.camera_T_object, expected[i].reconstruction.camera_T_object
             )
             assert (estimate.time, estimate.world_T_object is None) == (0.1 * t, t == 3)
         np.testing.assert_array_equal(images.frame.boxes[1], observations[1].box)

@@ -1,4 +1,4 @@
-"""Recordings of several vehicles: each in its own file, whole or not at all, and an error in any of them is told."""
+"""Recordings of several vehicles: each in its own file, whole or not at all; an error in any of them is reported."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_vehicles_of_one_name_have_two_files(example: Example, tmp_path: Path) -
     assert [len(replay.read(path).history) for path in written] == [3, 4]
 
 
-def test_a_file_that_cannot_be_written_is_told_and_leaves_nothing(example: Example, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_reported_and_leaves_nothing(example: Example, tmp_path: Path) -> None:
     (tmp_path / "cars-car-1.rrd").mkdir()
     with pytest.raises(InvalidInputError, match="cars-car-1"):
         deliver(recordings(example, 3), tmp_path / "cars.rrd", None, spawn=False, several=True)

@@ -27,8 +27,8 @@ def frame(number, **changes):
 
 
 def test_words_have_commas_and_tell_nothing_that_the_table_does():
-    told = [Showing(beside_table=beside).vehicles(frame(0))[0].words for beside in (False, True)]
-    assert told == [f"{np.linalg.norm(EXAMPLE.reconstruction.location):.0f} m, 36 km/h", "36 km/h"]
+    words = [Showing(beside_table=beside).vehicles(frame(0))[0].words for beside in (False, True)]
+    assert words == [f"{np.linalg.norm(EXAMPLE.reconstruction.location):.0f} m, 36 km/h", "36 km/h"]
     lost = frame(0, status=Status.DEGENERATE)
     assert [Showing(beside_table=beside).vehicles(lost)[0].words for beside in (False, True)] == ["degenerate", ""]
 

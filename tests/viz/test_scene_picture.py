@@ -58,8 +58,8 @@ def test_it_is_a_column_wide_and_every_vehicle_is_in_both_views(seen, vehicles):
     assert figure.get_size_inches()[0] == pytest.approx(8.0 / 2.54)
     photograph, above, aside = figure.axes
     assert texts(photograph) == texts(above) == ["0", "1", "2"]
-    told = texts(aside)
-    assert {"0", "1", "2", "converged", "ambiguous", "95 % of position"} <= set(told)
+    words = texts(aside)
+    assert {"0", "1", "2", "converged", "ambiguous", "95 % of position"} <= set(words)
     assert min(text.get_fontsize() for axes in figure.axes for text in axes.texts) >= 6.0
 
 
@@ -289,9 +289,9 @@ def test_a_long_table_says_how_many_are_left_out(seen, vehicles):
     many = [replace(vehicles[0], identity=number) for number in range(60)]
     figure = draw(seen, many)
     aside = figure.axes[2]
-    told = texts(aside)
-    left = next(int(text.split()[1]) for text in told if text.startswith("and "))
-    assert sum(text.isdigit() for text in told) + left == 60
+    words = texts(aside)
+    left = next(int(text.split()[1]) for text in words if text.startswith("and "))
+    assert sum(text.isdigit() for text in words) + left == 60
     lowest = max(text.get_position()[1] for text in aside.texts)
     assert lowest < max(aside.get_ylim())
 

@@ -109,9 +109,9 @@ def test_states_tell_stage_status_and_side(recording) -> None:
     found = chunks(recording)
     (chunk,) = found[f"{entities.STATES}/third"]
     rows = chunk.to_record_batch().to_pydict()
-    told = [state for (state,) in rows["StateChange:state"]]
-    assert [state.partition(",")[0] for state in told] == ["initialisation", "pose", "ambiguous"]
-    assert told[-1].endswith("rear" if told[1].endswith("front") else "front")
+    states = [state for (state,) in rows["StateChange:state"]]
+    assert [state.partition(",")[0] for state in states] == ["initialisation", "pose", "ambiguous"]
+    assert states[-1].endswith("rear" if states[1].endswith("front") else "front")
     assert rows[entities.STEP] == sorted(set(rows[entities.STEP]))
     assert rows[entities.STEP][-1] == 5
     (chunk,) = found[f"{entities.STATES}/a-b"]

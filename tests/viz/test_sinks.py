@@ -31,15 +31,15 @@ def test_the_layout_is_shown_and_not_only_at_hand(example, tmp_path):
     assert activations(path) == [(True, True)]
 
 
-def test_a_viewer_that_listens_is_told_to_show_the_layout(monkeypatch):
+def test_a_viewer_that_listens_is_made_to_show_the_layout(monkeypatch):
     import rerun as rr
 
-    told = []
+    calls = []
     monkeypatch.setattr(sinks, "check_viewer", lambda address: ("127.0.0.1", 9876))
-    monkeypatch.setattr(rr.RecordingStream, "connect_grpc", lambda self, url: told.append(url))
-    monkeypatch.setattr(rr.RecordingStream, "send_blueprint", lambda self, layout, **how: told.append((layout, how)))
+    monkeypatch.setattr(rr.RecordingStream, "connect_grpc", lambda self, url: calls.append(url))
+    monkeypatch.setattr(rr.RecordingStream, "send_blueprint", lambda self, layout, **how: calls.append((layout, how)))
     sinks.connected("fgrecon: car", "127.0.0.1:9876", "layout")
-    assert told == ["rerun+http://127.0.0.1:9876/proxy", ("layout", {"make_active": True, "make_default": True})]
+    assert calls == ["rerun+http://127.0.0.1:9876/proxy", ("layout", {"make_active": True, "make_default": True})]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits the size of files as Unix does")

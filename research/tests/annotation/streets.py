@@ -1,4 +1,4 @@
-"""Made-up streets: images on disk with labels in KITTI's formats, and a detector that finds what it is told."""
+"""Made-up streets: images on disk with labels in KITTI's formats, and a detector that returns given keypoints."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def write_drive(folder, prior, frames):
 
 
 @dataclass
-class Told:
+class GivenKeypoints:
     """A detector that knows the cars: the image's grey value is the frame's number.
 
     Attributes:

@@ -13,7 +13,7 @@ from fgrecon.io.kitti_drives import read_drive, read_object_folder
 from fgrecon_research.annotation.annotate import LeftOut, Reason, Selection, annotate
 from fgrecon_research.annotation.known_box import KnownBoxOptions
 from fgrecon_research.annotation.labels import vehicle_labels
-from research.tests.annotation.streets import SIZE, Car, Told, write_drive
+from research.tests.annotation.streets import SIZE, Car, GivenKeypoints, write_drive
 
 NEAR = Car((-2.0, 1.6, 9.0), 0.5)
 
@@ -32,7 +32,7 @@ def test_keypoints_of_all_images_of_a_vehicle(scene, tmp_path):
         shown.append((heading, len(things)))
         return things
 
-    made, left = annotate(drive, Told(frames, scene.prior, noise=1.0), scene.prior, progress=progress)
+    made, left = annotate(drive, GivenKeypoints(frames, scene.prior, noise=1.0), scene.prior, progress=progress)
     assert left == []
     assert shown == [("Keypoints", 2), ("Shapes", 2)]
     assert [(a.frame.number, a.track, a.kind) for a in made] == [(0, 3, "Van"), (0, 7, "Car"), (1, 7, "Car")]
@@ -55,7 +55,7 @@ def test_keypoints_of_all_images_of_a_vehicle(scene, tmp_path):
     )
 
 
-def test_every_vehicle_of_a_wanted_kind_is_told_of(scene, tmp_path):
+def test_every_vehicle_of_a_wanted_kind_is_reported(scene, tmp_path):
     gone = Car((1.0, 1.6, 12.0), 0.3, truncation=0.7)
     few = Car((2.5, 1.6, 11.0), 1.0)
     cars = {
@@ -74,7 +74,7 @@ def test_every_vehicle_of_a_wanted_kind_is_told_of(scene, tmp_path):
     def lose(number, car, points, confidence):
         return (np.where(np.arange(14)[:, None] < 2, points, np.nan) if car is not NEAR else points), confidence
 
-    made, left = annotate(read_drive(folder), Told([cars], scene.prior, changed=lose), scene.prior)
+    made, left = annotate(read_drive(folder), GivenKeypoints([cars], scene.prior, changed=lose), scene.prior)
     assert [a.track for a in made] == [1]
     assert left == [
         LeftOut(0, 2, Reason.SMALL, "Car"),
@@ -94,7 +94,7 @@ def test_a_network_that_disagrees_is_no_reason(scene, tmp_path):
     def nonsense(number, car, points, confidence):
         return np.random.default_rng(1).uniform([0, 0], SIZE, points.shape), confidence
 
-    made, left = annotate(drive, Told(frames, scene.prior, changed=nonsense), scene.prior)
+    made, left = annotate(drive, GivenKeypoints(frames, scene.prior, changed=nonsense), scene.prior)
     assert left == []
     assert made[0].agreement < 0.3
     off = np.linalg.norm(made[0].keypoints - NEAR.keypoints(scene.prior), axis=1)
@@ -107,7 +107,7 @@ def test_what_is_nearer_hides(scene, tmp_path):
     found = []
     for name, frames in (("alone", alone), ("behind", behind)):
         drive = read_drive(write_drive(tmp_path / name, scene.prior, frames))
-        made, _ = annotate(drive, Told(frames, scene.prior), scene.prior)
+        made, _ = annotate(drive, GivenKeypoints(frames, scene.prior), scene.prior)
         found.append(next(a for a in made if a.track == 1))
     assert found[0].before == ()
     assert (found[0].visible > 0.5).sum() >= 4
@@ -120,7 +120,7 @@ def test_what_is_nearer_hides(scene, tmp_path):
 def test_the_border_of_the_image_hides(scene, tmp_path):
     frames = [{1: Car((-4.2, 1.6, 10.0), 0.3, truncation=0.2)}]
     drive = read_drive(write_drive(tmp_path / "drive", scene.prior, frames))
-    ((annotation,), _) = annotate(drive, Told(frames, scene.prior), scene.prior)
+    ((annotation,), _) = annotate(drive, GivenKeypoints(frames, scene.prior), scene.prior)
     outside = annotation.keypoints[:, 0] < -0.5
     assert outside.any()
     assert (annotation.visible[outside] == 0.0).all()
@@ -131,7 +131,7 @@ def test_the_border_of_the_image_hides(scene, tmp_path):
 def test_labels_hold_what_the_annotation_says(scene, tmp_path):
     frames = [{1: NEAR}]
     drive = read_drive(write_drive(tmp_path / "drive", scene.prior, frames))
-    made, _ = annotate(drive, Told(frames, scene.prior), scene.prior)
+    made, _ = annotate(drive, GivenKeypoints(frames, scene.prior), scene.prior)
     labels = vehicle_labels([("d", one) for one in made], scene.prior.category, {"by": "a test"})
     assert labels.skeleton == scene.prior.category.edges
     assert labels.info == {"by": "a test"}
@@ -149,7 +149,7 @@ def test_labels_hold_what_the_annotation_says(scene, tmp_path):
 def test_a_prior_without_a_surface(scene, tmp_path):
     frames = [{1: NEAR, 2: Car((0.5, 1.6, 20.0), 1.5)}]
     drive = read_drive(write_drive(tmp_path / "drive", scene.prior, frames))
-    made, _ = annotate(drive, Told(frames, scene.prior), replace(scene.prior, surface=None))
+    made, _ = annotate(drive, GivenKeypoints(frames, scene.prior), replace(scene.prior, surface=None))
     assert len(made) == 2
     labels = vehicle_labels([("d", one) for one in made], scene.prior.category, {})
     assert len(labels.vehicles) == 2
@@ -159,7 +159,7 @@ def test_a_detector_of_another_category_is_refused(scene, tmp_path):
     frames = [{1: NEAR}]
     drive = read_drive(write_drive(tmp_path / "drive", scene.prior, frames))
     with pytest.raises(InvalidInputError, match="lorry"):
-        annotate(drive, Told(frames, scene.prior, category="lorry"), scene.prior)
+        annotate(drive, GivenKeypoints(frames, scene.prior, category="lorry"), scene.prior)
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ def test_a_lidars_points_tell_the_shape_of_a_vehicle_whose_box_is_vague(scene, t
         place = np.array(frames[frame.number][7].location)
         return Points(shown @ pose[:3, :3].T + place, 0.02) if frame.number == 0 else None
 
-    detector = Told(frames, scene.prior, noise=1.0)
+    detector = GivenKeypoints(frames, scene.prior, noise=1.0)
     how = KnownBoxOptions(shift_sigma=0.5, size_share=0.15)
     lengths = {}
     for name, more in (("alone", {}), ("lidar", {"points": points})):

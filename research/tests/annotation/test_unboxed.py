@@ -13,7 +13,7 @@ from fgrecon.simulation.vehicles import KITTI_CAMERA
 from fgrecon_research.annotation.annotate import LeftOut, Reason, annotate
 from fgrecon_research.annotation.annotation import Fit
 from fgrecon_research.annotation.unboxed import Unboxed, fit_unboxed
-from research.tests.annotation.streets import Car, Told, directions, write_drive
+from research.tests.annotation.streets import Car, GivenKeypoints, directions, write_drive
 from tests.cars import observe, project, yaw_pose
 
 KNOWN = Unboxed(Ground.level(1.6))
@@ -32,7 +32,7 @@ PATH = [Car((-3.0 + 0.3 * t, 1.6, 13.0 - 0.7 * t), 1.0 + 0.02 * t, boxed=False) 
 def test_a_track_is_reconstructed_where_boxes_are_missing(scene, tmp_path):
     frames = [{4: car} for car in PATH]
     drive = read_drive(write_drive(tmp_path / "drive", scene.prior, frames))
-    detector = Told(frames, scene.prior, noise=1.0)
+    detector = GivenKeypoints(frames, scene.prior, noise=1.0)
     made, left = annotate(drive, detector, scene.prior)
     assert made == []
     assert [one.reason for one in left] == [Reason.NO_BOX] * 5
@@ -52,7 +52,7 @@ def test_what_is_nearer_hides_without_boxes_as_well(scene, tmp_path):
     far, near = Car((0.0, 1.6, 20.0), np.pi / 2, boxed=False), Car((0.3, 1.6, 12.0), 0.0, boxed=False)
     frames = [{1: far, 2: near}]
     drive = read_drive(write_drive(tmp_path / "drive", scene.prior, frames))
-    made, _ = annotate(drive, Told(frames, scene.prior), scene.prior, unboxed=KNOWN)
+    made, _ = annotate(drive, GivenKeypoints(frames, scene.prior), scene.prior, unboxed=KNOWN)
     seen = {one.track: one for one in made}
     assert len(seen[1].before) == 1
     assert (seen[1].visible[:4] == 0.0).all()
@@ -62,7 +62,7 @@ def test_what_is_nearer_hides_without_boxes_as_well(scene, tmp_path):
 def test_boxes_are_used_where_they_are(scene, tmp_path):
     frames = [{4: replace(PATH[0], boxed=True)}, {4: PATH[1]}]
     drive = read_drive(write_drive(tmp_path / "drive", scene.prior, frames))
-    (first, second), left = annotate(drive, Told(frames, scene.prior), scene.prior, unboxed=KNOWN)
+    (first, second), left = annotate(drive, GivenKeypoints(frames, scene.prior), scene.prior, unboxed=KNOWN)
     assert left == []
     np.testing.assert_allclose(first.size, drive.frames[0].objects.size[0])
     assert (drive.frames[1].objects.size[0] == -1.0).all()
@@ -76,7 +76,7 @@ def test_images_that_are_not_sure_are_left_out(scene, tmp_path):
         return (np.where(np.arange(14)[:, None] < 2, points, np.nan) if number == 2 else points), confidence
 
     drive = read_drive(write_drive(tmp_path / "drive", scene.prior, frames))
-    made, left = annotate(drive, Told(frames, scene.prior, changed=lose), scene.prior, unboxed=KNOWN)
+    made, left = annotate(drive, GivenKeypoints(frames, scene.prior, changed=lose), scene.prior, unboxed=KNOWN)
     assert [one.frame.number for one in made] == [0, 1, 3, 4]
     assert left == [LeftOut(2, 4, Reason.FEW_POINTS, "Car")]
 
@@ -96,7 +96,7 @@ def test_an_image_that_leaves_the_direction_open_is_not_sure(scene):
     assert alone(seen, yaw_pose(0.0), scene.prior) is Reason.UNSURE
 
 
-def test_images_that_show_it_turned_round_are_put_right(scene, tmp_path):
+def test_images_that_show_it_flipped_are_put_right(scene, tmp_path):
     """Two of nine show the other end; the network is outvoted there."""
     path = [Car((-3.0 + 0.3 * t, 1.6, 15.0 - 0.7 * t), 1.0 + 0.02 * t, boxed=False) for t in range(9)]
     frames = [{4: car} for car in path]
@@ -107,7 +107,7 @@ def test_images_that_show_it_turned_round_are_put_right(scene, tmp_path):
         return (np.where(partner[:, None] >= 0, points[partner], np.nan) if wrong else points), confidence
 
     drive = read_drive(write_drive(tmp_path / "drive", scene.prior, frames))
-    made, left = annotate(drive, Told(frames, scene.prior, changed=turn), scene.prior, unboxed=KNOWN)
+    made, left = annotate(drive, GivenKeypoints(frames, scene.prior, changed=turn), scene.prior, unboxed=KNOWN)
     assert left == []
     for one, car in zip(made, path, strict=True):
         extent = (one.box[2:] - one.box[:2]).max()
@@ -120,7 +120,7 @@ def test_two_vehicles_of_one_number_are_refused(scene, tmp_path):
     (frame,) = drive.frames
     twice = replace(drive, frames=(replace(frame, tracks=np.array([1, 1])),))
     with pytest.raises(InvalidInputError, match="track 1 twice in frame 0"):
-        annotate(twice, Told([{1: PATH[0], 2: PATH[3]}], scene.prior), scene.prior, unboxed=KNOWN)
+        annotate(twice, GivenKeypoints([{1: PATH[0], 2: PATH[3]}], scene.prior), scene.prior, unboxed=KNOWN)
 
 
 def test_size_and_ground_tell_how_far_it_is(scene):

@@ -106,11 +106,22 @@ def test_images_in_which_nothing_labelled_was_found_have_a_file_of_results(tmp_p
     assert [path.name for path in (tmp_path / "one").iterdir()] == ["000003.txt"]
 
 
-def test_nothing_told(drives, weights, tmp_path):
+def test_nothing_given(drives, weights, tmp_path):
     """The same keypoints, on no ground and of no fleet; a camera's motion has no length then."""
     out = tmp_path / "r.json"
-    untold = (*drives, "--weights", weights, "--ground", "none", "--size-prior", "none", "--track", "--json", out)
-    done = run(*untold)
+    nothing_given = (
+        *drives,
+        "--weights",
+        weights,
+        "--ground",
+        "none",
+        "--size-prior",
+        "none",
+        "--track",
+        "--json",
+        out,
+    )
+    done = run(*nothing_given)
     assert done.exit_code == 0, done.output
     assert "4 boxes; no ground plane." in done.stdout
     made = json.loads(out.read_text())
@@ -121,7 +132,7 @@ def test_nothing_told(drives, weights, tmp_path):
         (("--estimate-motion",), "estimate_motion: got no ground"),
         (("--camera-height", 1.5), "either"),
     ):
-        refused = run(*untold, *more)
+        refused = run(*nothing_given, *more)
         assert isinstance(refused.exception, InvalidInputError)
         assert said in str(refused.exception)
 
@@ -207,9 +218,9 @@ def test_single_images_are_as_good_as_a_drive_where_nothing_is_followed(drives, 
     assert [(row["drive"], row["frame"], row["track"]) for row in rows[:2]] == [("training", 4, 0), ("training", 9, 1)]
     deep = [float((tmp_path / "boxes" / "training" / f"{n:06d}.txt").read_text().split()[13]) for n in (4, 9)]
     assert deep[1] > 1.5 * deep[0]  # each image has its own camera
-    told = CliRunner().invoke(main.app, ["evaluate", "calibration", str(single), "--weights", str(weights)])
-    assert told.exit_code == 0, told.output
-    assert "1 drive, 2 images, 2 boxes" in told.stdout
+    judged = CliRunner().invoke(main.app, ["evaluate", "calibration", str(single), "--weights", str(weights)])
+    assert judged.exit_code == 0, judged.output
+    assert "1 drive, 2 images, 2 boxes" in judged.stdout
     followed = run(single, "--weights", weights, "--track")
     assert isinstance(followed.exception, InvalidInputError)
     assert "label_02.txt" in str(followed.exception)
@@ -241,9 +252,9 @@ def test_the_shipped_network_on_real_images(data, tmp_path, how, metres):
     assert whole["aop"]["5"]["value"] == 100.0
     assert whole["median_metres"] < metres
     assert all(row["facing"] > 0.9 and row["view"] == "rear" for row in made["boxes"])
-    told = CliRunner().invoke(main.app, ["evaluate", "calibration", str(drive), "--json", "-", *how])
-    assert told.exit_code == 0, told.output
-    (judged,) = json.loads(told.stdout)
+    ended = CliRunner().invoke(main.app, ["evaluate", "calibration", str(drive), "--json", "-", *how])
+    assert ended.exit_code == 0, ended.output
+    (judged,) = json.loads(ended.stdout)
     assert judged["boxes"] == ("detected" if how else "labelled")
     assert judged["statuses"] == [{"status": "converged", "count": 4, "flipped": 0, "wrong": 0}]
 
@@ -266,7 +277,7 @@ def test_what_results_say_of_themselves(drives, weights, tmp_path):
     assert done.exit_code == 0, done.output
     assert "2 drives, 2 images, 4 boxes" in done.stdout
     documents = json.loads(out.read_text())
-    assert [told["method"] for told in documents] == ["reconstruct_image", "online", "batch"]
+    assert [document["method"] for document in documents] == ["reconstruct_image", "online", "batch"]
     assert sum(row["count"] for row in documents[0]["statuses"]) == 4
     assert documents[0]["drives"] == ["one", "two"]
     assert picture.stat().st_size > 5000

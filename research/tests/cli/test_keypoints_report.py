@@ -38,15 +38,15 @@ def test_a_hidden_point_is_wrong_for_the_average_precision_and_none_for_the_shar
     np.testing.assert_allclose(found.precisions, [[5 / 9, 5 / 9], [2 / 3, 1 / 6]])
 
 
-def test_both_are_told_by_point(capsys):
+def test_both_are_reported_by_point(capsys):
     print_marks(Screen(None, error=False, quiet=False, verbose=False, progress=False), CARS, NAMES)
     rows = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines() if line.split()}
     assert rows["wheel"] == ["1", "100", "100", "100", "100"]  # the street's table comes last
     assert rows["roof"] == ["0"]
-    told = json.loads(json.dumps(marks_document(CARS, NAMES), allow_nan=False))["marks"]
-    assert told["photographs"]["keypoints_apk"] == {
+    marks = json.loads(json.dumps(marks_document(CARS, NAMES), allow_nan=False))["marks"]
+    assert marks["photographs"]["keypoints_apk"] == {
         "wheel": pytest.approx([5 / 9] * 2),
         "roof": pytest.approx([2 / 3, 1 / 6]),
     }
-    assert told["hard"]["keypoints_apk"]["roof"] == [None, None]
-    assert told["hard"]["keypoints_points"] == {"wheel": 1, "roof": 0}
+    assert marks["hard"]["keypoints_apk"]["roof"] == [None, None]
+    assert marks["hard"]["keypoints_points"] == {"wheel": 1, "roof": 0}

@@ -15,7 +15,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.coco_keypoints import read_coco_keypoints
 from fgrecon.io.images import read_image
 from fgrecon_research.cli.training import label
-from research.tests.annotation.streets import Car, Told, write_drive
+from research.tests.annotation.streets import Car, GivenKeypoints, write_drive
 
 NEAR = Car((-2.0, 1.6, 9.0), 0.5)
 FAR = Car((3.0, 1.6, 60.0), 1.0)
@@ -26,7 +26,7 @@ FRAMES = [{7: NEAR, 3: Car((2.5, 1.6, 14.0), -1.4, "Van"), 4: FAR}, {7: NEAR}]
 def known(scene, monkeypatch):
     """The network knows the cars."""
 
-    class Network(Told):
+    class Network(GivenKeypoints):
         provenance = {"data": "made up"}  # noqa: RUF012 - what a network has
 
         def __init__(self, weights):
@@ -61,8 +61,10 @@ def test_all_drives_share_one_set_of_bars(known, scene, drive, tmp_path, monkeyp
 
 
 def test_labels_summary_and_picture(known, drive, tmp_path):
-    out, sheet, told = tmp_path / "labels.json", tmp_path / "labels.png", tmp_path / "told.json"
-    done = run(*(drive, "--out", out, "--picture", sheet, "--json", told, "--verbose", "--license", "CC BY-NC-SA 3.0"))
+    out, sheet, report = tmp_path / "labels.json", tmp_path / "labels.png", tmp_path / "report.json"
+    done = run(
+        *(drive, "--out", out, "--picture", sheet, "--json", report, "--verbose", "--license", "CC BY-NC-SA 3.0")
+    )
     assert done.exit_code == 0, done.output
     found = read_coco_keypoints(out)
     assert [(v.image.frame, v.track, v.kind) for v in found.vehicles] == [(0, 3, "Van"), (0, 7, "Car"), (1, 7, "Car")]
@@ -73,7 +75,7 @@ def test_labels_summary_and_picture(known, drive, tmp_path):
     assert found.vehicles[0].image.path == drive / "image_02" / "000000.png"
     row = next(line for line in done.stdout.splitlines() if line.strip().startswith("drive  "))
     assert row.split()[:1] == ["drive"]
-    summary = json.loads(told.read_text())
+    summary = json.loads(report.read_text())
     (counted,) = summary["drives"]
     assert [counted[name] for name in ("drive", "vehicles", "images", "labels", "left_out")] == ["drive", 2, 2, 3, 1]
     assert counted["visible"] + counted["hidden"] + counted["outside"] == 3 * 14
@@ -81,7 +83,7 @@ def test_labels_summary_and_picture(known, drive, tmp_path):
     assert summary["left_out"] == [{"drive": "drive", "frame": 0, "track": 4, "kind": "Car", "reason": "too small"}]
     assert "drive, image 0: Car 4: too small" in done.stdout
     assert read_image(sheet).std() > 10
-    for path in (out, sheet, told):
+    for path in (out, sheet, report):
         assert f"Wrote {path}." in done.stdout
 
 
@@ -99,9 +101,9 @@ def test_which_vehicles(known, drive, tmp_path):
 def test_vehicles_without_boxes(known, scene, tmp_path, known_by):
     frames = [{track: replace(car, boxed=track == 3) for track, car in cars.items()} for cars in FRAMES]
     drive = write_drive(tmp_path / "drive", scene.prior, frames)
-    out, told = tmp_path / "labels.json", tmp_path / "told.json"
-    assert run(drive, "--out", out, "--json", told).exit_code == 0
-    assert json.loads(told.read_text())["drives"][0]["reasons"] == {"too small": 1, "no 3D box": 2}
+    out, report = tmp_path / "labels.json", tmp_path / "report.json"
+    assert run(drive, "--out", out, "--json", report).exit_code == 0
+    assert json.loads(report.read_text())["drives"][0]["reasons"] == {"too small": 1, "no 3D box": 2}
     assert run(drive, "--out", out, *known_by).exit_code == 0
     assert [v.track for v in read_coco_keypoints(out).vehicles] == [3, 7, 7]
 

@@ -95,8 +95,8 @@ def test_what_is_not_found_counts(drive, tmp_path):
     assert cars.right[0].value == pytest.approx(100.0 * cars.found / cars.vehicles)
     nothing = score(drive, boxes, numbers, min_score=0.95)
     assert not any(one.found for one in nothing)
-    told = document({"none": nothing}, {"none": precisions_of(drive, boxes, numbers)})
-    plain = json.loads(json.dumps(told, allow_nan=False))["sources"][0]["groups"]["cars"]
+    report = document({"none": nothing}, {"none": precisions_of(drive, boxes, numbers)})
+    plain = json.loads(json.dumps(report, allow_nan=False))["sources"][0]["groups"]["cars"]
     assert (plain["mean_metres"], plain["median_metres"], plain["intervals"]) == (None, None, {})
 
 
@@ -281,7 +281,7 @@ def test_drives_and_boxes_that_cannot_be_scored_together(two_drives, tmp_path):
 
 @pytest.mark.data
 def test_a_published_detectors_boxes(data):
-    """DD3D on a drive, of which `data` says: median position error 2.7 %, yaw 1.7 degrees, 3.4 % turned round."""
+    """DD3D on a drive, of which `data` says: median position error 2.7 %, yaw 1.7 degrees, 3.4 % flipped."""
     drive = read_images(data / "kitti_video" / "kitti_tracking_0001")
     numbers = [frame.number for frame in drive.frames if frame.labelled]
     boxes = read_boxes(data / "mono_detections" / "dd3d" / "kitti_tracking_0001", numbers)

@@ -12,9 +12,9 @@ from fgrecon_research.viz.calibration_picture import calibration_picture
 
 
 def box(degrees, metres, status="converged", *, drive="a", facing=0.9, squared=None):
-    told = {"position": 2.0, "yaw": 0.5} if squared is None else squared
+    errors = {"position": 2.0, "yaw": 0.5} if squared is None else squared
     spread = {"position": 0.3, "yaw": 1.5}
-    outcome = BoxOutcome(degrees, metres, None, status, None, squared=told, spread=spread, facing=facing)
+    outcome = BoxOutcome(degrees, metres, None, status, None, squared=errors, spread=spread, facing=facing)
     return VideoBox(drive, 0, 0, 0, "Car", 0.0, 0, 80.0, 10.0, 0.0, 0.9, {"system": outcome})
 
 
@@ -44,8 +44,10 @@ def test_statuses_facings_and_regions():
 
 def test_what_it_costs_to_take_sure_facings_alone():
     found = calibrate_boxes([*BOXES, box(170.0, 0.5, facing=0.97), box(1.0, 0.5, facing=1.0)], "system")
-    told = [(one.least, one.flipped_refused, one.right_refused, one.sure, one.sure_flipped) for one in found.acceptance]
-    assert told == [(0.9, 1, 0, 4, 1), (0.95, 1, 2, 2, 1), (0.99, 2, 2, 1, 0)]
+    counts = [
+        (one.least, one.flipped_refused, one.right_refused, one.sure, one.sure_flipped) for one in found.acceptance
+    ]
+    assert counts == [(0.9, 1, 0, 4, 1), (0.95, 1, 2, 2, 1), (0.99, 2, 2, 1, 0)]
     assert {(one.flipped, one.right) for one in found.acceptance} == {(2, 4)}
     document = json.loads(json.dumps(calibration_document(found, {}), allow_nan=False))
     assert document["acceptance"][0]["sure_flipped"] == 1
@@ -53,10 +55,10 @@ def test_what_it_costs_to_take_sure_facings_alone():
 
 def test_the_document_is_json_and_the_picture_is_drawn(tmp_path):
     found = calibrate_boxes(BOXES[:1], "system")  # one drive: no baseline
-    told = json.loads(json.dumps(calibration_document(found, {"method": "system"}), allow_nan=False))
-    assert told["format"] == "fgrecon.calibration/1"
-    assert told["method"] == "system"
-    assert told["regions"][0]["inside"]["0.68"] == {"claimed": 1.0, "scaled": None, "constant": None}
+    document = json.loads(json.dumps(calibration_document(found, {"method": "system"}), allow_nan=False))
+    assert document["format"] == "fgrecon.calibration/1"
+    assert document["method"] == "system"
+    assert document["regions"][0]["inside"]["0.68"] == {"claimed": 1.0, "scaled": None, "constant": None}
     figure = calibration_picture(found.regions, found.facing)
     left, right = figure.axes
     assert [text.get_text() for text in left.get_legend().get_texts()] == ["position (1)", "yaw (1)"]

@@ -1,4 +1,4 @@
-"""The rows of fgrecon are told what their names say and nothing else."""
+"""The rows of fgrecon are given what their names say and nothing else."""
 
 from types import SimpleNamespace
 
@@ -31,7 +31,7 @@ def calls(monkeypatch):
     ("name", "ground", "size"),
     [("fgrecon", False, False), ("fgrecon+size", False, True), ("fgrecon+ground+size", True, True)],
 )
-def test_a_row_is_told_what_its_name_says(scene, calls, name, ground, size):
+def test_a_row_is_given_what_its_name_says(scene, calls, name, ground, size):
     camera, truth = Camera(K), pose_of(0.4, [0.0, 1.65, 8.0])
     observation = observe(scene.prior.mean, camera, truth)
     times = {"pose": 3.0, "shape": 7.0}

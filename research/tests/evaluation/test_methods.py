@@ -1,4 +1,4 @@
-"""The registry: every method finds an exact pose, is told what its name says, and refuses what it cannot solve."""
+"""The registry: every method finds an exact pose, is given what its name says, and refuses what it cannot solve."""
 
 from dataclasses import replace
 

@@ -24,13 +24,13 @@ def test_sizes_have_the_spread_of_the_traffic(name):
 
 @pytest.mark.slow
 def test_regions_hold():
-    told = {"ground": Ground.level(1.65), "size_prior": size_prior("kitti")}
-    judged = [one for one in judge_simulated(150, load_prior("car14"), **told) if one is not None]
+    given = {"ground": Ground.level(1.65), "size_prior": size_prior("kitti")}
+    judged = [one for one in judge_simulated(150, load_prior("car14"), **given) if one is not None]
     assert len(judged) > 140
     found = calibrate(judged)
     assert [one.quantity for one in found.regions] == ["position", "yaw", "size", "keypoints"]
     for one in found.regions:
         assert 0.5 < one.inside[0.68]["claimed"] < 0.85, one.quantity
         assert one.inside[0.95]["claimed"] > 0.8, one.quantity
-    again = [one for one in judge_simulated(5, load_prior("car14"), **told) if one is not None]
+    again = [one for one in judge_simulated(5, load_prior("car14"), **given) if one is not None]
     assert [one.regions for one in again] == [one.regions for one in judged[:5]]

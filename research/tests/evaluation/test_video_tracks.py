@@ -74,9 +74,9 @@ def test_several_images_and_how_much_errors_change(folder, setup, scene):  # noq
     assert list(made["methods"]) == [SYSTEM, *tracked]
     alone = [box.outcomes[ALONE] for box in first]
     assert alone[0].metres == alone[1].metres > 0.0  # the images are one
-    told = made["methods"][ONLINE]["regime"]["all"]["consistency"]
-    assert told["position"]["low"] < 1.0 < told["position"]["high"]
-    assert set(told) >= {"position", "yaw"}
+    consistency = made["methods"][ONLINE]["regime"]["all"]["consistency"]
+    assert consistency["position"]["low"] < 1.0 < consistency["position"]["high"]
+    assert set(consistency) >= {"position", "yaw"}
     row = next(row for row in made["boxes"] if row["method"] == ONLINE)
     assert row["position_nees"] > 0.0
     json.dumps(made, allow_nan=False)
@@ -152,7 +152,7 @@ def test_labels_make_velocities_over_the_world(folder):  # noqa: F811
 
 
 def test_the_vote_turns_single_images_round(folder, setup, scene):  # noqa: F811
-    """The van is turned round in the second frame, by a network that is less sure of it than of the others."""
+    """The van is flipped in the second frame, by a network that is less sure of it than of the others."""
     _, _, van, *_ = (folder / "label_02.txt").read_text().splitlines()
     for number in range(1, 3):
         shutil.copy(folder / "image_02" / "000000.png", folder / "image_02" / f"{number:06d}.png")

@@ -45,7 +45,7 @@ def facings(voted, way):
 
 
 def test_log_odds_add_up_over_the_frames_so_far_and_over_all(result):
-    """Right, turned round and surer of it, then right twice; the sums are 1.4, -1.6, 0.1 and 2.1 nats."""
+    """Right, flipped and surer of it, then right twice; the sums are 1.4, -1.6, 0.1 and 2.1 nats."""
     sure = [0.8, 0.95, 0.84, 0.88]
     way = [0.0, np.pi, 0.1, -0.1]
     results = [at(result, yaw) for yaw in way]

@@ -77,8 +77,8 @@ def rare_cars(content):
 @pytest.mark.slow
 def test_a_small_run_is_whole_goes_on_and_does_not_depend_on_processes(few, tmp_path):
     out = tmp_path / "one"
-    told = ["--data", str(few), "--out", str(out), "--workers", "1", "--no-progress"]
-    result = CliRunner().invoke(app, ["evaluate", "paper", *told])
+    arguments = ["--data", str(few), "--out", str(out), "--workers", "1", "--no-progress"]
+    result = CliRunner().invoke(app, ["evaluate", "paper", *arguments])
     assert result.exit_code == 0, result.output
     document = json.loads((out / "evaluation.json").read_text())
     text = (out / "evaluation.md").read_text()

@@ -40,9 +40,9 @@ def test_halves_share_no_image(marked):
 @pytest.mark.slow
 def test_regions_hold_on_the_other_half(marked):
     models, cars = marked
-    told = []
-    found = calibrate_marked(replace(cars, cars=cars.cars[::8]), models, lambda *done: told.append(done))
-    assert told[-1] == (6 * len(cars.cars[::8]),) * 2
+    reported = []
+    found = calibrate_marked(replace(cars, cars=cars.cars[::8]), models, lambda *done: reported.append(done))
+    assert reported[-1] == (6 * len(cars.cars[::8]),) * 2
     assert all(NOISES[0] < sigma < NOISES[-1] for sigma in found.sigma_relative)
     assert [one.quantity for one in found.calibration.regions] == ["position", "yaw", "size", "keypoints"]
     for one in found.calibration.regions:

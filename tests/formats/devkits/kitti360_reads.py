@@ -1,6 +1,6 @@
 """What kitti360scripts makes of its folder: run in its own environment, FOLDER.
 
-It has no vertices of boxes by name: they are told apart by where they lie in the unit box, which its files have. Its
+It has no vertices of boxes by name: they are distinguished by where they lie in the unit box, which its files have. Its
 pixels are rounded to whole ones: those before are made from its points and its matrix.
 """
 

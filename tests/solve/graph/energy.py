@@ -62,7 +62,7 @@ class Energy:
         return points + offsets.reshape(-1, 3) if len(offsets) else points
 
     def _whitened(self, coefficients):
-        """By the prior; where no fleet is told, by that and by how far fleets differ."""
+        """By the prior; where no fleet is given, by that and by how far fleets differ."""
         if self.problem.model.fleet_given or not len(coefficients):
             return coefficients
         sizes = np.einsum("dki,nki->dn", self.category.dimension_operator, self.prior.basis)

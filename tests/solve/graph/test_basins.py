@@ -73,7 +73,7 @@ def test_alternatives_are_refined_sorted_and_distinct(which):
         assert alone.optimum.energy - result.optimum.energy == pytest.approx(other.excess, abs=1e-4)
 
 
-def test_proposals_that_are_far_worse_are_told_as_they_are():
+def test_proposals_that_are_far_worse_are_reported_as_they_are():
     problem, start = problem_of(0)
     far = tuple(replace(other, excess=1e3 + i) for i, other in enumerate(start.alternatives))
     result = solve(problem, replace(start, alternatives=far))
@@ -111,7 +111,7 @@ def test_images_that_start_in_the_wrong_basin_change_over(wrong):
         np.testing.assert_allclose(mine.matrix(), expected.matrix(), atol=3e-3)
     np.testing.assert_allclose(found.optimum.state.shapes[0][0], right.optimum.state.shapes[0][0], atol=3e-3)
     assert found.optimum.energy == pytest.approx(right.optimum.energy, abs=3e-3)
-    for i in wrong:  # the pose that it left is told as the other one
+    for i in wrong:  # the pose that it left is reported as the other one
         (other,) = found.alternatives[i]
         assert turn_between(other.camera_T_object, found.optimum.state.poses[i].matrix()) > np.pi - 0.3
         assert other.excess > 0.0

@@ -94,19 +94,19 @@ def test_the_frame_is_the_objects_own():
 
 
 @pytest.mark.parametrize("strategy", ["mixture", "cauchy", "tukey"])
-def test_what_is_told_is_that_of_the_weighted_keypoints(strategy):
+def test_what_is_reported_is_that_of_the_weighted_keypoints(strategy):
     """End to end, also where the graph holds an m-estimator: each keypoint counts by its final weight, and once.
 
     So do sizes: the prior on lambda and the fleet's are one that gives them the spread of the traffic.
     """
     problem, _ = problem_of(4, strategy=strategy, box_model="off")
-    told = reconstruct(
+    result = reconstruct(
         problem.observation, problem.camera, ground=problem.ground, size_prior="kitti", options=problem.options
     )
-    weights = Weights(told.diagnostics.weights, told.diagnostics.visibility, np.ones(4), told.location[2])
-    state = state_of(told.camera_T_object, told.shape.coefficients, weights, told.shape.offsets)
+    weights = Weights(result.diagnostics.weights, result.diagnostics.visibility, np.ones(4), result.location[2])
+    state = state_of(result.camera_T_object, result.shape.coefficients, weights, result.shape.offsets)
     graph = graph_at(problem, state)
-    energy = energy_of(problem, weights, told.camera_T_object, joint=True)
+    energy = energy_of(problem, weights, result.camera_T_object, joint=True)
     jacobian = energy.jacobian(vector(energy, graph, graph.values(state)))
     information, vehicle = jacobian.T @ jacobian, graph.vehicles[0]
     model, shape = vehicle.model, vehicle.shape
@@ -115,11 +115,13 @@ def test_what_is_told_is_that_of_the_weighted_keypoints(strategy):
     information[own, own] -= sizes.T @ np.diag(model.size.assumed_sigma**-2.0) @ sizes
     information[6:11, 6:11] += np.linalg.inv(model.traffic_spread) - np.eye(5)
     whole = np.linalg.inv(information)
-    np.testing.assert_allclose(told.uncertainty.pose_covariance, whole[:6, :6], atol=0.02 * np.abs(whole[:6, :6]).max())
-    np.testing.assert_allclose(told.uncertainty.coefficients_covariance, whole[6:11, 6:11], atol=0.02)
+    np.testing.assert_allclose(
+        result.uncertainty.pose_covariance, whole[:6, :6], atol=0.02 * np.abs(whole[:6, :6]).max()
+    )
+    np.testing.assert_allclose(result.uncertainty.coefficients_covariance, whole[6:11, 6:11], atol=0.02)
 
 
-def test_vehicles_of_a_fleet_that_nobody_told_are_unsure_together():
+def test_vehicles_of_an_assumed_fleet_are_unsure_together():
     """Two vehicles with nothing but their fleet in common, against what each image says and the joint prior of both."""
     cars = [solved(seed, ground=False, size=False, box_model="off") for seed in (3, 4)]
     ends, weights = [car.optimum.state for car in cars], [car.weights for car in cars]

@@ -99,10 +99,10 @@ def test_the_compiled_linear_graph_and_error_are_those_of_what_is_built(case):
         for form in (Form.NEWTON, Form.MAJORISED):
             step, energy = graph.step(point, weights, form)
             moved, information = system.moved(point, step), system.information(point).copy()
-            told = energy(), graph.error(moved)
+            energies = energy(), graph.error(moved)
             built = graph.build(weights, form)
             expected = built.error(system.values(point)), built.error(system.values(moved))
-            assert told == pytest.approx(expected, rel=1e-12)
+            assert energies == pytest.approx(expected, rel=1e-12)
             other = built.linearize(system.values(point)).hessian(ordering)[0]
             np.testing.assert_allclose(information, other, atol=1e-12 * np.abs(other).max())
         point = moved

@@ -87,31 +87,31 @@ def test_every_update_starts_where_the_last_one_ended_and_goes_down(seed, strate
     pose, coefficients, weights = start.camera_T_object, start.coefficients, start.weights
     for (number, update), steps in by_update.items():
         stage = result.adjusted.stages[number]
-        (told,) = steps[0].weights
-        if any(told.visibility is known for known in seen):
+        (reported,) = steps[0].weights
+        if any(reported.visibility is known for known in seen):
             break  # visibility is held from here on
-        seen.append(told.visibility)
+        seen.append(reported.visibility)
         assert [step.step for step in steps] == list(range(len(steps)))
         progress = min(update / (problem.options.strategy.updates - 1), 1.0)
         weights, edges, visibility = weights_at(problem, pose, coefficients, previous=weights, progress=progress)
-        np.testing.assert_allclose(told.keypoints, weights, atol=1e-12)
-        np.testing.assert_allclose(told.box, edges, atol=1e-9)
-        np.testing.assert_allclose(told.visibility, visibility, atol=1e-12)
-        assert told.depth == pytest.approx(pose[2, 3], abs=1e-12)
-        state = state_of(pose, coefficients, told)
+        np.testing.assert_allclose(reported.keypoints, weights, atol=1e-12)
+        np.testing.assert_allclose(reported.box, edges, atol=1e-9)
+        np.testing.assert_allclose(reported.visibility, visibility, atol=1e-12)
+        assert reported.depth == pytest.approx(pose[2, 3], abs=1e-12)
+        state = state_of(pose, coefficients, reported)
         graph = graph_at(problem, state, pose_free=stage.name == "joint")
-        values, built = graph.values(state), graph.build([told])
+        values, built = graph.values(state), graph.build([reported])
         path = minimise(
             built, values, relative_tolerance=SETTINGS.reweighting.early_relative_decrease, record=True
         ).path
         for mine, step in zip(path, steps, strict=False):  # the last update goes on for longer
-            one, other = graph.read(mine, [told]), stage.graph.read(step.values, [told])
+            one, other = graph.read(mine, [reported]), stage.graph.read(step.values, [reported])
             np.testing.assert_allclose(one.poses[0].matrix(), other.poses[0].matrix(), atol=1e-8)
             np.testing.assert_allclose(one.shapes[0][0], other.shapes[0][0], atol=1e-8)
         assert len(steps) >= len(path) > 0
-        errors = [built.error(values), *(stage.graph.build([told]).error(step.values) for step in steps)]
+        errors = [built.error(values), *(stage.graph.build([reported]).error(step.values) for step in steps)]
         assert errors == sorted(errors, reverse=True)
-        end = stage.graph.read(steps[-1].values, [told])
+        end = stage.graph.read(steps[-1].values, [reported])
         pose, coefficients = end.poses[0].matrix(), end.shapes[0][0]
     assert len(seen) >= 3
 

@@ -122,9 +122,9 @@ def test_a_car_on_a_crease_of_its_outline_comes_to_rest(monkeypatch, seed):
     left, top, right, bottom = seen.box
     narrow = np.array([left + 0.06 * (right - left), top, right - 0.06 * (right - left), bottom])
     faint = replace(seen, confidence=np.full(14, 0.02), box=narrow)
-    told = {"size": SIZE_PRIORS["kitti"], "ground": Ground.level(1.65)}
+    given = {"size": SIZE_PRIORS["kitti"], "ground": Ground.level(1.65)}
     options = make_options(free_offsets=False, box_model="cuboid")
-    problem, _ = pose_problem(load_prior("car14"), faint, options=options, **told)
+    problem, _ = pose_problem(load_prior("car14"), faint, options=options, **given)
     descent = descent_of(problem, search_pose(problem))
     descent.run()
     assert descent.converged

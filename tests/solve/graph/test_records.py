@@ -20,19 +20,19 @@ def described(seed=0, **settings):
 def test_every_factor_is_there_with_its_variables(settings):
     _, terms, found = described(**settings)
     for name, members in terms.items():
-        told = [factor for factor in found if factor.term == name]
+        records = [factor for factor in found if factor.term == name]
         if name != "reprojection":
             expected = [tuple(map(key_name, factor.keys())) for factor in members]
-            assert [factor.variables for factor in told] == expected
+            assert [factor.variables for factor in records] == expected
     assert {factor.term for factor in found} == set(terms)
 
 
 def test_keypoints_without_measurement_or_weight_have_none():
     problem, _, found = described()
     names = problem.model.prior.category.keypoints
-    told = [factor.label for factor in found if factor.term == "reprojection"]
+    labels = [factor.label for factor in found if factor.term == "reprojection"]
     expected = [name for i, name in enumerate(names) if problem.observation.measured[i] and i != 2]
-    assert told == expected
+    assert labels == expected
     assert {factor.variables for factor in found if factor.term == "reprojection"} == {("X(v=0,t=0)", "L(v=0)")}
 
 

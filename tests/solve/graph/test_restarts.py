@@ -22,8 +22,8 @@ from fgrecon.solve.proposals.terms import Hypotheses
 from tests.solve.graph.support import problem_of
 
 
-def few(points, told, noise, number, strategy="mixture"):
-    return problem(Case(strategy, points, told, noise), number)
+def few(points, known, noise, number, strategy="mixture"):
+    return problem(Case(strategy, points, known, noise), number)
 
 
 MISSED = {  # and by how much the minimum is lower that the first search leads to no more, nats
@@ -74,7 +74,7 @@ def test_it_is_not_searched_on_where_that_is_not_meant(monkeypatch, why):
     assert bool(called) == (why == "nothing")
 
 
-def test_poses_that_are_told_are_lower_distinct_and_others_each_time():
+def test_poses_that_are_returned_are_lower_distinct_and_others_each_time():
     one, _ = MISSED["turned"]
     start = search_pose(one)
     state = solved(one, replace(start, everywhere=False)).optimum.state
@@ -84,20 +84,20 @@ def test_poses_that_are_told_are_lower_distinct_and_others_each_time():
         h = Hypotheses(camera_T_object[None, :3, :3], camera_T_object[None, :3, 3], shape[None])
         return float(one.energy.evaluate(h)[0].energy[0])
 
-    told = lower_poses(one, pose, coefficients)
-    assert 1 <= len(told) <= 3
-    excesses = [other.excess for other in told]
+    lower = lower_poses(one, pose, coefficients)
+    assert 1 <= len(lower) <= 3
+    excesses = [other.excess for other in lower]
     assert excesses == sorted(excesses)
-    for other in told:
+    for other in lower:
         assert other.excess < -0.3
         lower = energy(other.camera_T_object, other.coefficients) - energy(pose, coefficients)
         assert lower == pytest.approx(other.excess, abs=1e-6)
-    poses = [pose, *(other.camera_T_object for other in told)]
+    poses = [pose, *(other.camera_T_object for other in lower)]
     for i, here in enumerate(poses):
         for there in poses[:i]:
             apart = turn_between(here, there) > np.radians(4.0) - 1e-9
             assert apart or np.linalg.norm((here - there)[:3, 3]) > 0.15 - 1e-9
     again = lower_poses(one, pose, coefficients)
-    np.testing.assert_array_equal(again[0].camera_T_object, told[0].camera_T_object)
+    np.testing.assert_array_equal(again[0].camera_T_object, lower[0].camera_T_object)
     others = lower_poses(one, pose, coefficients, 1)
-    assert not others or not np.array_equal(others[0].camera_T_object, told[0].camera_T_object)
+    assert not others or not np.array_equal(others[0].camera_T_object, lower[0].camera_T_object)

@@ -87,7 +87,7 @@ def test_gtsams_m_estimators_end_where_reweighting_by_hand_ends(strategy, covari
 
 @pytest.mark.parametrize("strategy", ["mixture", "huber"])
 def test_the_energies_are_those_of_the_pose_search(strategy):
-    """Terms that both stages have are told alike; only the ground's has an uncertainty of its own."""
+    """Terms that both stages have are reported alike; only the ground's has an uncertainty of its own."""
     problem, start = problem_of(1, strategy=strategy)
     result = solve(problem, start)
     pose = result.pose.matrix()[None]

@@ -1,4 +1,4 @@
-"""Made-up streets: vehicles on known paths before a camera that moves, their keypoints noisy and turned round."""
+"""Made-up streets: vehicles on known paths before a camera that moves, their keypoints noisy and flipped."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def upright(yaw, place):
 
 
 def seen(pose, rng, *, noise=0.015, turned=False, shape=None, camera=CAMERA):
-    """The observation of a car in a pose, with directions as a network gives them; turned round where it is so."""
+    """The observation of a car in a pose, with directions as a network gives them; flipped where it is so."""
     points = PRIOR.keypoints(np.zeros(PRIOR.dimension) if shape is None else shape)
     pixels = camera.project(points @ pose[:3, :3].T + pose[:3, 3])
     box = np.array([*pixels.min(axis=0), *pixels.max(axis=0)])

@@ -129,7 +129,7 @@ def test_later_frames_mend_earlier_ones():
         assert abs(wrap_angle(belief.heading - heading)) < 0.1
 
 
-def test_turned_round_twice_is_as_before():
+def test_flipped_twice_is_as_before():
     observation = seen(upright(0.8, [1.0, 1.65, 15.0]), np.random.default_rng(0), noise=0.0)
     partner = partners(PRIOR)
     names = PRIOR.category.keypoints

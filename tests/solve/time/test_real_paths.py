@@ -1,4 +1,4 @@
-"""Simulated keypoints over paths that real vehicles took before KITTI's camera, whose motion is not told."""
+"""Simulated keypoints over paths that real vehicles took before KITTI's camera, whose motion is not given."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def _paths(folder):
 
 
 @pytest.mark.data
-def test_three_of_ten_turned_round_and_three_of_ten_missing(data):
+def test_three_of_ten_flipped_and_three_of_ten_missing(data):
     """And five turned in a row: 97 % are within 15 degrees online, 99 % at the end."""
     folder = data / "kitti_tracking" / "label_02"
     if not folder.is_dir():

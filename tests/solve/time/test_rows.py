@@ -23,7 +23,7 @@ def shown(pose, rng, *, turned=False, unsure=False):
 
 
 def followed(names, frames=4, options=PLAIN):
-    """Estimates online and in batch; car 2 comes last, its keypoints turned round by a network that is not sure."""
+    """Estimates online and in batch; car 2 comes last, its keypoints flipped by a network that is not sure."""
     tracker, poses, online = fgrecon.Tracker(options=options), parked(), {}
     for t in range(frames):
         given = {}

@@ -63,8 +63,8 @@ def test_estimates_that_nobody_wants_change_nothing():
 
 
 @pytest.mark.parametrize("row", [False, True], ids=["one by one", "five in a row"])
-def test_frames_that_are_turned_round_or_missing(row):
-    """Of every ten frames three are missing; every fourth of the others is turned round, and once five in a row.
+def test_frames_that_are_flipped_or_missing(row):
+    """Of every ten frames three are missing; every fourth of the others is flipped, and once five in a row.
 
     One that is turned turns no vehicle. Several that are all sure may be right, until others follow: what was before
     may be wrong alike.
@@ -132,8 +132,8 @@ def test_past_parked_cars_the_way_tells_their_distance():
     with_motion, without = [], []
     for seed, first in enumerate((-1.2, 1.2)):
         frames, poses = passed_by([first, 0.0, 0.0, 0.0, 0.0], 0.0, seed)
-        for found, told in ((with_motion, frames), (without, [(time, one, None) for time, one, _ in frames])):
-            _, smoothed = follow(told)
+        for found, given in ((with_motion, frames), (without, [(time, one, None) for time, one, _ in frames])):
+            _, smoothed = follow(given)
             found += [off(one, pose)[1] for one, pose in zip(smoothed, poses, strict=True)]
     assert np.mean(with_motion) < 0.75 * np.mean(without)
 
@@ -319,7 +319,7 @@ def test_a_velocity_over_the_world_says_nothing_of_one_relative_to_the_camera(un
     assert np.ptp(known, axis=0).max() < 0.3
 
 
-def test_a_frame_that_was_turned_round_wrongly_is_turned_back():
+def test_a_frame_that_was_flipped_wrongly_is_turned_back():
     """While two turned frames are believed the next ones are taken for turned; later ones say that they were not."""
     rng, poses = np.random.default_rng(2), approaching(12)
     given = [seen(pose, rng, turned=t < 2) for t, pose in enumerate(poses)]

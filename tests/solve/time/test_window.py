@@ -94,10 +94,10 @@ def test_the_graph_of_a_window_has_its_frames_and_what_ties_them():
     poses, velocities = ({v for f in graph for v in f.variables if v[0] == letter} for letter in "XV")
     assert len(poses) == len(velocities) == 3
     assert {"X(v=3,t=3)", "X(v=3,t=4)"} < poses
-    told = Counter(factor.label for factor in graph if factor.term == "extra")
-    assert (told["motion"], told["velocity change"]) == (2, 2)
-    assert told["velocity"] >= 3
-    assert set(told) == {"motion", "velocity change", "velocity"}
+    labels = Counter(factor.label for factor in graph if factor.term == "extra")
+    assert (labels["motion"], labels["velocity change"]) == (2, 2)
+    assert labels["velocity"] >= 3
+    assert set(labels) == {"motion", "velocity change", "velocity"}
     seen_in = [factor.variables for factor in graph if factor.term == "reprojection"]
     assert sorted(variables[0] for variables in seen_in) == sorted(poses)
     assert all("L(v=3)" in variables for variables in seen_in)

@@ -10,7 +10,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io import files
 from fgrecon.io.catalogue import load_prior
 from fgrecon_research.training.keypoints.trainer import load_tensors
-from research.tests.annotation.streets import Car, Told, write_drive
+from research.tests.annotation.streets import Car, GivenKeypoints, write_drive
 from research.tests.training.keypoints.support import make_small
 from research.tests.training.keypoints.test_rounds import source  # noqa: F401 - a fixture
 
@@ -49,7 +49,7 @@ class Killed(BaseException):
     """As from outside: nothing catches it."""
 
 
-class Network(Told):
+class Network(GivenKeypoints):
     """Knows the cars of both drives."""
 
     provenance = {"data": "made up"}  # noqa: RUF012 - what a network has
@@ -75,8 +75,8 @@ def place(source, tmp_path_factory):  # noqa: F811
 
 
 def run(place, work, out, *more, settings="settings.toml"):
-    told = ["--settings", place / settings, "--data", place / "data", "--work", place / work, "--out", place / out]
-    return CliRunner().invoke(app, ["keypoints", "train", *(str(argument) for argument in (*told, *more))])
+    arguments = ["--settings", place / settings, "--data", place / "data", "--work", place / work, "--out", place / out]
+    return CliRunner().invoke(app, ["keypoints", "train", *(str(argument) for argument in (*arguments, *more))])
 
 
 @pytest.fixture(scope="module")
@@ -257,8 +257,8 @@ def test_nobody_knows_which_drives_a_given_network_has_seen(place, unbroken):
 
 
 def test_phases_belong_to_settings(place, tmp_path):
-    told = ["--work", tmp_path / "work", "--out", tmp_path / "n.safetensors", "--trained", "alone=x"]
-    done = CliRunner().invoke(app, ["keypoints", "train", *map(str, told)])
+    arguments = ["--work", tmp_path / "work", "--out", tmp_path / "n.safetensors", "--trained", "alone=x"]
+    done = CliRunner().invoke(app, ["keypoints", "train", *map(str, arguments)])
     assert isinstance(done.exception, InvalidInputError)
     assert "--settings" in done.exception.fix
 

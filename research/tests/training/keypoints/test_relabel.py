@@ -117,7 +117,7 @@ def test_a_keypoint_of_unknown_place_may_move_along_the_car():
     found = Found(keypoints, np.full((12, 14), 0.8), np.broadcast_to(np.eye(2), (12, 14, 2, 2)).copy())
     begin, known = ShapeFit(np.zeros(5), np.zeros((14, 3)), np.zeros((12, 4))), np.arange(14) < 12
     sure = np.ones(12, dtype=bool)
-    held, free = (relabel_shape(prior, cars, begin, found, sure, told) for told in (None, known))
+    held, free = (relabel_shape(prior, cars, begin, found, sure, given) for given in (None, known))
     far, near = (np.abs(r.fit.offsets - offsets)[12:, 0].max() for r in (held, free))
     assert near < 0.5 * far
     np.testing.assert_allclose(free.fit.offsets[:12], 0.0, atol=0.02)

@@ -16,7 +16,7 @@ from fgrecon_research.annotation.labels import silhouette, vehicle_labels
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.dataset import SIDE
 from fgrecon_research.training.keypoints.street_cars import StreetCars, StreetShare, prepare_street_cars
-from research.tests.annotation.streets import Car, Told, write_drive
+from research.tests.annotation.streets import Car, GivenKeypoints, write_drive
 
 PRIOR = load_prior("car14")
 # A car ahead of another one, seen from behind, and a van at the image's border.
@@ -29,7 +29,7 @@ FRAMES = [
 @pytest.fixture(scope="module")
 def annotations(tmp_path_factory):
     drive = write_drive(tmp_path_factory.mktemp("drives") / "street", PRIOR, FRAMES)
-    made, _ = annotate(read_drive(drive), Told(FRAMES, PRIOR), PRIOR)
+    made, _ = annotate(read_drive(drive), GivenKeypoints(FRAMES, PRIOR), PRIOR)
     assert len(made) == 4
     return made
 

@@ -17,7 +17,7 @@ from fgrecon.perception.keypoints.network_file import Stored, save_weights
 from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.labels import vehicle_labels
 from fgrecon_research.training.keypoints.trainer import load_tensors
-from research.tests.annotation.streets import Car, Told, write_drive
+from research.tests.annotation.streets import Car, GivenKeypoints, write_drive
 from research.tests.training.keypoints.support import make_small
 from research.tests.training.keypoints.test_rounds import SMALL, source  # noqa: F401 - a fixture
 
@@ -34,8 +34,8 @@ def train(source, monkeypatch, tmp_path):  # noqa: F811
     make_small(source, monkeypatch)
 
     def run(out, *more):
-        told = ["--work", tmp_path / "work", "--out", tmp_path / out, "--steps", 2, "--batch", 2, "--relabel-at", 1]
-        arguments = ["keypoints", "train", *told, "--workers", 0, "--refine-steps", 1, *more]
+        outputs = ["--work", tmp_path / "work", "--out", tmp_path / out, "--steps", 2, "--batch", 2, "--relabel-at", 1]
+        arguments = ["keypoints", "train", *outputs, "--workers", 0, "--refine-steps", 1, *more]
         return CliRunner().invoke(app, [*map(str, arguments)])
 
     return run
@@ -63,8 +63,8 @@ def test_a_trained_network_can_go_on_and_be_kept(train, tmp_path):
     done = train("on.safetensors", "--start", start, "--start-share", 1, "--relabel-at", 9, "--refine-steps", 0)
     assert done.exit_code == 0, done.output
     before, after = load_tensors(start), load_tensors(tmp_path / "on.safetensors")
-    told = "start.safetensors (of which 1 is left in the weights), itself from: nothing"
-    assert after.provenance["start"] == told
+    expected = "start.safetensors (of which 1 is left in the weights), itself from: nothing"
+    assert after.provenance["start"] == expected
     assert after.refinement is None
     for name, value in before.state.items():  # nothing of what was learnt now is in them
         np.testing.assert_allclose(after.state[name].float(), value.float(), atol=1e-3)
@@ -91,7 +91,9 @@ def street(tmp_path, monkeypatch):
     streets = {"near": [{1: Car((0.0, 1.65, 15.0), 0.4)}], "far": [{1: Car((1.0, 1.65, 20.0), 2.0)}]}
     annotated = []
     for name, frames in streets.items():
-        made, _ = annotate(read_drive(write_drive(tmp_path / name, prior, frames)), Told(frames, prior), prior)
+        made, _ = annotate(
+            read_drive(write_drive(tmp_path / name, prior, frames)), GivenKeypoints(frames, prior), prior
+        )
         annotated += [(name, one) for one in made]
     return write_coco_keypoints(tmp_path / "street.json", vehicle_labels(annotated, prior.category, {}))
 
@@ -107,8 +109,8 @@ def begun(tmp_path):
 
 
 def test_street_cars_are_learnt_from_beside_the_photographs(train, street, begun, tmp_path):
-    told = ("--start", begun, "--street", street, "--street-share", 0.75, "--rate", 1e-4, "--decay", 0.5)
-    done = train("street.safetensors", *told, "--without", "far", "--relabel-at", 9, "--refine-steps", 0)
+    options = ("--start", begun, "--street", street, "--street-share", 0.75, "--rate", 1e-4, "--decay", 0.5)
+    done = train("street.safetensors", *options, "--without", "far", "--relabel-at", 9, "--refine-steps", 0)
     assert done.exit_code == 0, done.output
     assert "Street cars" in done.stderr
     before, trained = load_tensors(begun), load_tensors(tmp_path / "street.safetensors")
@@ -116,12 +118,12 @@ def test_street_cars_are_learnt_from_beside_the_photographs(train, street, begun
     assert (trained.trust, trained.refine_settings) == (0.3, before.refine_settings)
     for name, value in trained.refinement.items():  # kept, since no step was made on them
         np.testing.assert_allclose(value, before.refinement[name], atol=1e-3)
-    again = train("street.safetensors", *told, "--relabel-at", 9, "--refine-steps", 0)
+    again = train("street.safetensors", *options, "--relabel-at", 9, "--refine-steps", 0)
     assert isinstance(again.exception, InvalidInputError)  # the same folder, but other drives
     assert again.exception.field == "work"
     labels = json.loads(street.read_text())
     street.write_text(json.dumps({**labels, "annotations": labels["annotations"][:1]}))
-    again = train("street.safetensors", *told, "--relabel-at", 9, "--refine-steps", 0)
+    again = train("street.safetensors", *options, "--relabel-at", 9, "--refine-steps", 0)
     assert isinstance(again.exception, InvalidInputError)  # the cars that are cut out are others
     assert "labels" in again.exception.fix
 
@@ -140,8 +142,8 @@ def test_refinement_networks_learn_from_the_street_as_well(train, street, begun,
 
 @pytest.mark.parametrize(("street_too", "known"), [(True, "far, near"), (False, "Leave out drives only where")])
 def test_drives_that_are_not_there_cannot_be_left_out(train, street, tmp_path, street_too, known):
-    told = ("--street", street) if street_too else ()
-    done = train("s.safetensors", *told, "--without", "near,drive_0095")
+    options = ("--street", street) if street_too else ()
+    done = train("s.safetensors", *options, "--without", "near,drive_0095")
     assert isinstance(done.exception, InvalidInputError)
     assert (done.exception.field, done.exception.value) == ("without", "drive_0095" if street_too else "near")
     assert known in done.exception.fix
@@ -170,11 +172,11 @@ def test_a_training_goes_on_with_the_same_plan_network_and_data(train, source, b
     monkeypatch.setattr(rounds, "corrected", lambda _, first, *more: first)
     assert train("n.safetensors", "--start", begun).exit_code == 0
 
-    def refused(told, *options):
+    def refused(reason, *options):
         again = train("n.safetensors", "--start", begun, *options)
         assert isinstance(again.exception, InvalidInputError)
         assert again.exception.field == "work"
-        assert told in again.exception.fix
+        assert reason in again.exception.fix
 
     refused("rate: 0.001 became 0.01.", "--rate", 0.01)
     refused("steps: 2 became 3.", "--steps", 3)

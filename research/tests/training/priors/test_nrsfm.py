@@ -233,7 +233,7 @@ def test_bad_input_is_named():
         NrsfmOptions(basis=-1)
 
 
-def test_progress_is_told_and_may_stop_the_work():
+def test_progress_is_reported_and_may_stop_the_work():
     world = draw_world(10, count=40, missing=0.0)
     steps = []
     fit_nrsfm(chair(), world.keypoints, replace(GAUSSIAN, restarts=1, iterations=20), progress=steps.append)
