@@ -84,20 +84,20 @@ def test_poses_that_are_returned_are_lower_distinct_and_others_each_time():
         h = Hypotheses(camera_T_object[None, :3, :3], camera_T_object[None, :3, 3], shape[None])
         return float(one.energy.evaluate(h)[0].energy[0])
 
-    lower = lower_poses(one, pose, coefficients)
-    assert 1 <= len(lower) <= 3
-    excesses = [other.excess for other in lower]
+    returned = lower_poses(one, pose, coefficients)
+    assert 1 <= len(returned) <= 3
+    excesses = [other.excess for other in returned]
     assert excesses == sorted(excesses)
-    for other in lower:
+    for other in returned:
         assert other.excess < -0.3
         lower = energy(other.camera_T_object, other.coefficients) - energy(pose, coefficients)
         assert lower == pytest.approx(other.excess, abs=1e-6)
-    poses = [pose, *(other.camera_T_object for other in lower)]
+    poses = [pose, *(other.camera_T_object for other in returned)]
     for i, here in enumerate(poses):
         for there in poses[:i]:
             apart = turn_between(here, there) > np.radians(4.0) - 1e-9
             assert apart or np.linalg.norm((here - there)[:3, 3]) > 0.15 - 1e-9
     again = lower_poses(one, pose, coefficients)
-    np.testing.assert_array_equal(again[0].camera_T_object, lower[0].camera_T_object)
+    np.testing.assert_array_equal(again[0].camera_T_object, returned[0].camera_T_object)
     others = lower_poses(one, pose, coefficients, 1)
-    assert not others or not np.array_equal(others[0].camera_T_object, lower[0].camera_T_object)
+    assert not others or not np.array_equal(others[0].camera_T_object, returned[0].camera_T_object)
