@@ -15,7 +15,7 @@ ROOMS = {
     "io/keypoints": {"core", "io"},
     "io/datasets": {"core", "io"},
     "io/cameras": {"core", "io", "io/datasets"},
-    "io/sensors": {"core", "io", "io/cameras"},
+    "io/sensors": {"core", "io", "io/cameras", "io/datasets"},
     "solve/vehicle": {"factors", "core"},
     "io/export": {"core", "io", "io/datasets", "solve/vehicle"},
     "solve/proposals": {"factors", "core", "solve/vehicle"},

@@ -31,9 +31,9 @@ class SensorOptions:
     lidar: Annotated[
         str | None,
         typer.Option(
-            metavar=_FILES,
-            help="Points of a LiDAR: KITTI's or nuScenes' bin, npz, npy, pcd, ply, las; named as the images. Of a bag "
-            "its topic.",
+            metavar=f"{_FILES}|DATASET",
+            help="Points of a LiDAR: KITTI's or nuScenes' bin, npz, npy, pcd, ply, las; named as the images. Or the "
+            "data set that has them; of a bag its topic.",
         ),
     ] = None
     lidar_pose: Annotated[

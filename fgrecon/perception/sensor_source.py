@@ -22,6 +22,7 @@ from fgrecon.io.kitti_calibration import KittiCalibration, calibration_beside, r
 from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes, sweep_of
 from fgrecon.io.poses import read_pose
 from fgrecon.io.sensors.clouds import CLOUDS
+from fgrecon.io.sensors.data_set_sweeps import DataSetSweeps
 from fgrecon.io.sensors.depth_files import DEPTHS, read_depth
 from fgrecon.io.sensors.mask_files import MASKS, read_masks
 from fgrecon.io.sensors.points import Place, lidar_place, read_points
@@ -36,7 +37,7 @@ IMAGES = (".png", ".jpg", ".jpeg")
 class SensorSource:
     """What is given beside the images; every part may be None."""
 
-    lidar: str | None = None  # points: a file, a folder with one for each image, of its name, or a pattern
+    lidar: str | None = None  # points: a file, a folder with one for each image, of its name, a pattern, or a data set
     lidar_pose: Path | None = None  # file with the motion from the LiDAR's frame to the camera's
     lidar_sigma: tuple[float, float] = (0.0, 0.0)  # how unsure that is, radians and metres (`Points.place_sigma`)
     masks: str | None = None  # masks of the vehicles: as `lidar`, or COCO JSON of all images
@@ -65,11 +66,13 @@ class SensorSource:
             raise InvalidInputError("depth_scale", self.depth_scale.value, "Give the depth maps as well (--depth).")
         for files in self._files:
             files.all()
+        if self._sweeps is not None and self.lidar_pose is not None:
+            raise InvalidInputError("lidar_pose", str(self.lidar_pose), "Leave it out: the data set has it.")
 
     @property
     def given(self) -> bool:
         """Whether there is anything."""
-        return bool(self._files)
+        return bool(self._files or self._sweeps)
 
     def to_dict(self) -> dict[str, str]:
         """What is given, for the settings of a run: a file or a folder by its absolute path."""
@@ -85,9 +88,15 @@ class SensorSource:
     @cached_property
     def _files(self) -> list[SensorFiles]:
         """The files that are given, of each kind."""
-        given = ("lidar", CLOUDS), ("masks", MASKS), ("depth", DEPTHS), ("right", IMAGES)
+        lidar = [] if self._sweeps is not None else [("lidar", CLOUDS)]
+        given = *lidar, ("masks", MASKS), ("depth", DEPTHS), ("right", IMAGES)
         named = [(name, getattr(self, name), endings) for name, endings in given]
         return [SensorFiles(name, value, endings) for name, value, endings in named if value is not None]
+
+    @cached_property
+    def _sweeps(self) -> DataSetSweeps | None:
+        """Those of the data set that is given for the LiDAR."""
+        return DataSetSweeps.of_source(self.lidar)
 
     def check(self, images: Iterable[str]) -> None:
         """Refuse files of which none is of one of the images.
@@ -103,6 +112,10 @@ class SensorSource:
             if not any(self._file(files, Path(name)) for name in names):
                 named = names[0] if names else "none"
                 raise InvalidInputError(files.field, files.given, f"Name its files as the images, such as {named}.")
+        if self._sweeps is not None and not any(map(self._sweeps.of, names)):
+            raise InvalidInputError(
+                "lidar", str(self.lidar), "Give the data set, and the camera, that the images are of."
+            )
 
     def evidence(self, path: Path) -> tuple[Evidence, ...]:
         """What the files say of an image; nothing where there is none of it.
@@ -114,12 +127,11 @@ class SensorSource:
             InvalidInputError: A file cannot be used, or nothing says where its sensor is.
         """
         given = ((one, file) for one in self._files if (file := self._file(one, path)) is not None)
-        found: list[Evidence] = []
+        swept = None if self._sweeps is None else self._sweeps.of(path.name)
+        found: list[Evidence] = [] if swept is None else [self._points(*swept)]
         for one, file in given:
             if one.field == "lidar":
-                place = lidar_place(file, path, self.camera, self.lidar_pose)
-                points = read_points(file, place)
-                found.append(Points(points, origin=_origin(place), place_sigma=self.lidar_sigma))
+                found.append(self._points(file, lidar_place(file, path, self.camera, self.lidar_pose)))
             elif one.field == "masks":
                 found += read_masks(file, path)
             elif one.field == "depth":
@@ -129,6 +141,10 @@ class SensorSource:
             else:
                 found.append(self._of_pair(path, file))
         return tuple(found)
+
+    def _points(self, file: Path, place: Place | None) -> Points:
+        """The points of a scan, by where the LiDAR is."""
+        return Points(read_points(file, place), origin=_origin(place), place_sigma=self.lidar_sigma)
 
     def _of_pair(self, path: Path, right: Path) -> DepthMap:
         """The depth of an image that is the left one of a pair."""

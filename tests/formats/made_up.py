@@ -95,6 +95,10 @@ def write_image(path: Path):
     cv2.imwrite(str(path), np.tile(np.arange(WIDTH, dtype=np.uint8), (HEIGHT, 1)))
 
 
+POINTS = np.array([[6.0, 0.5, 0.25], [12.5, -3.0, 1.0], [-8.0, 4.0, 0.5]])
+"""What a LiDAR measured, in the frame that a data set gives them in; half precision holds them."""
+
+
 def _write_tables(folder: Path, tables: dict[str, list]):
     folder.mkdir(parents=True)
     for name, content in tables.items():
@@ -246,7 +250,14 @@ def write_argoverse2(root: Path, log: str = "adcf7d18-0510-35b0-a2fa-b4cea13a6d7
     )
     write(
         folder / "calibration/egovehicle_SE3_sensor.feather",
-        poses([("up_lidar", np.eye(4)), *((names[c.name], c.vehicle_T_camera) for c in CAMERAS)], "sensor_name"),
+        poses(
+            [
+                ("up_lidar", np.eye(4)),
+                ("down_lidar", np.eye(4)),
+                *((names[c.name], c.vehicle_T_camera) for c in CAMERAS),
+            ],
+            "sensor_name",
+        ),
     )
     write(
         folder / "calibration/intrinsics.feather",
@@ -277,7 +288,9 @@ def write_argoverse2(root: Path, log: str = "adcf7d18-0510-35b0-a2fa-b4cea13a6d7
         for name in names.values():
             write_image(folder / "sensors/cameras" / name / f"{time}.jpg")
     for time in TIMES_NS:
-        write(folder / "sensors/lidar" / f"{time}.feather", {n: pa.array([1.0, 2.0], pa.float16()) for n in "xyz"})
+        columns = {n: pa.array(POINTS[:, i].astype(np.float16), pa.float16()) for i, n in enumerate("xyz")}
+        rest = {n: pa.array([0] * len(POINTS), pa.int32()) for n in ("intensity", "laser_number", "offset_ns")}
+        write(folder / "sensors/lidar" / f"{time}.feather", columns | rest)
     return folder.parent
 
 
@@ -301,6 +314,14 @@ def write_kitti360(root: Path, name: str = "2013_05_28_drive_0000_sync") -> Path
     ]
     for name_of, camera in zip(("image_02", "image_03"), CAMERAS, strict=True):
         (root / f"calibration/{name_of}.yaml").write_text(_mei(name_of, camera))
+    velo_T_camera = pose([0.02, -0.01, 0.03], [0.77, 0.3, -0.08])
+    velo_T_camera[:3, :3] = velo_T_camera[:3, :3] @ AHEAD
+    numbers = " ".join(map(repr, velo_T_camera[:3].ravel().tolist()))
+    (root / "calibration/calib_cam_to_velo.txt").write_text(numbers)
+    scans = root / "data_3d_raw" / name / "velodyne_points/data"
+    scans.mkdir(parents=True)
+    for frame in (7, 8):
+        np.column_stack([POINTS, np.zeros(len(POINTS))]).astype(np.float32).tofile(scans / f"{frame:010d}.bin")
     (root / "calibration/perspective.txt").write_text("\n".join(["calib_time: 09-Jan-2012", *text]) + "\n")
     (root / "calibration/calib_cam_to_pose.txt").write_text("\n".join(mounts) + "\n")
     rows = [f"{i + 7} {' '.join(map(repr, world_T_vehicle(t)[:3].ravel().tolist()))}" for i, t in enumerate(TIMES_NS)]
@@ -613,7 +634,15 @@ def write_zod(root: Path) -> Path:
         for name, content in (("calibration", {"FC": calibration}), ("ego_motion", motion), ("objects", labels)):
             (root / folder / f"{name}.json").write_text(json.dumps(content))
         shot = {"time": stamp.isoformat(), "height": HEIGHT, "width": WIDTH}
-        lidars = [{"filepath": f"{folder}/lidar.npy", "time": stamp.isoformat(), "is_compensated": True}]
+        scan = np.zeros(
+            len(POINTS),
+            [*((n, "<f4") for n in "xyz"), ("timestamp", "<i8"), ("intensity", "u1"), ("diode_index", "u1")],
+        )
+        for i, axis in enumerate("xyz"):
+            scan[axis] = POINTS[:, i]
+        file = f"{folder}/{key}_velodyne_{stamp:%Y-%m-%dT%H:%M:%S.%fZ}.npy"
+        np.save(root / file, scan)
+        lidars = [{"filepath": file, "time": stamp.isoformat(), "is_compensated": True}]
         frames.append(
             {
                 "id": key,

@@ -9,6 +9,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.io.cameras import read_camera
 from fgrecon.io.datasets import is_data_set, open_drive, open_images, open_sequence, open_video
+from fgrecon.io.sensors.points import read_points
+from fgrecon.perception.sensor_source import SensorSource
 
 from . import made_up
 
@@ -65,6 +67,13 @@ def _ours(name, folder):
     return corners, images
 
 
+def _points(name, folder):
+    """The LiDAR's points by image, in the camera's frame."""
+    found = (open_sequence(f"{folder}{part}")[0] for part in SEQUENCES.get(name, ("",)))
+    shown = (image for one in found for image in one.images if image.sweep is not None)
+    return {f"{i.camera}/{i.name}": read_points(i.sweep.path, i.camera_T_points) for i in shown}
+
+
 def _check(name, folder, said):
     corners, images = _ours(name, folder)
     assert corners.keys() == said["corners"].keys()
@@ -73,6 +82,8 @@ def _check(name, folder, said):
     both = "/" in next(iter(said["images"]))
     keys = {f"{camera}/{image}" if both else image: seen for (camera, image), seen in images.items()}
     assert keys.keys() == said["images"].keys()
+    for image, points in said.get("points", {}).items():
+        assert np.abs(_points(name, folder)[image] - points).max() < METRES, image
     seen_pixels = 0
     for image, boxes in keys.items():
         assert boxes.keys() == said["images"][image].keys()
@@ -220,6 +231,33 @@ def test_the_sweep_of_a_sample_is_in_the_cameras_frame(tmp_path):
     world_T_lidar = made_up.world_T_vehicle(made_up.TIMES_NS[0])  # its points are at the origin of the LiDAR
     expected = np.linalg.inv(frame.world_T_camera) @ world_T_lidar[:, 3]
     assert np.abs(lidar_points(frame)[0] - expected[:3]).max() < METRES
+
+
+def test_the_sweeps_of_a_data_set_are_evidence(written):
+    name, _, folder = written
+    given = f"{folder}#{CAMERAS[name]}"
+    if name in ("waymo", "cityscapes3d"):
+        with pytest.raises(InvalidInputError, match="Give the sweeps"):
+            SensorSource(lidar=given)
+        return
+    sensors = SensorSource(lidar=given)
+    images = open_images(given)
+    sensors.check(image.path.name for image in images)
+    for image in images:
+        if image.sweep is not None:
+            (points,) = sensors.evidence(image.path)
+            assert np.abs(points.points - read_points(image.sweep.path, image.camera_T_points)).max() < METRES
+            assert np.abs(points.origin - image.camera_T_points[:3, 3]).max() < METRES
+    with pytest.raises(InvalidInputError, match="that the images are of"):
+        sensors.check(["another.png"])
+
+
+def test_cameras_whose_images_have_the_same_names_need_one_named(tmp_path):
+    made_up.write_kitti360(tmp_path)
+    with pytest.raises(InvalidInputError, match=r"Name a camera, such as .*#2013_05_28_drive_0000_sync/image_00"):
+        SensorSource(lidar=f"{tmp_path}#2013_05_28_drive_0000_sync")
+    with pytest.raises(InvalidInputError, match="lidar_pose"):
+        SensorSource(lidar=f"{tmp_path}#image_00", lidar_pose=tmp_path / "pose.txt")
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.datasets.columns import Columns, read_columns
-from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
+from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
 from fgrecon.io.json_fields import within
 
 Array = NDArray[np.float64]
@@ -46,10 +46,12 @@ def _read(name: str, log: Path) -> DataSequence:
         )
         for time, found in boxes.items()
     }
+    scans = {int(file.stem): file for file in sorted((log / "sensors" / "lidar").glob("*.feather"))}
     images = []
     for camera, lens in _lenses(read_columns(log / _CALIBRATION / "intrinsics.feather")).items():
         files = {int(p.stem): p for p in sorted((log / "sensors" / "cameras" / camera).glob("*.jpg"))}
-        shows = _nearest(sorted(files), sorted(boxes), _NEAREST_NS.get(camera.split("_")[0], 0))
+        farthest = _NEAREST_NS.get(camera.split("_")[0], 0)
+        shows, scanned = (_nearest(sorted(files), sorted(times), farthest) for times in (boxes, scans))
         images += [
             CameraImage(
                 camera=camera,
@@ -59,7 +61,8 @@ def _read(name: str, log: Path) -> DataSequence:
                 lens=lens,
                 vehicle_T_camera=mounts[camera],
                 world_T_vehicle=_pose_at(poses, time, log),
-                moment=shows.get(time),
+                moment=None if time not in shows else str(shows[time]),
+                sweep=None if (at := scanned.get(time)) is None else Sweep(scans[at], _pose_at(poses, at, log)),
             )
             for time, file in files.items()
         ]
@@ -110,15 +113,15 @@ def _boxes(path: Path, poses: Mapping[Any, Array]) -> dict[int, list[WorldBox]]:
     return found
 
 
-def _nearest(images: list[int], sweeps: list[int], farthest: int) -> dict[int, str]:
-    """The sweep whose boxes an image shows: the image is the nearest one to it, and not farther than so much (ns)."""
+def _nearest(images: list[int], sweeps: list[int], farthest: int) -> dict[int, int]:
+    """The sweep that an image shows: the image is the nearest one to it, and not farther than so much (ns)."""
     shows = {}
     for sweep in sweeps:
         place = bisect_left(images, sweep)
         near = images[max(place - 1, 0) : place + 1]
         best = min(near, key=lambda time: abs(time - sweep), default=None)
         if best is not None and abs(best - sweep) <= farthest:
-            shows[best] = str(sweep)
+            shows[best] = sweep
     return shows
 
 

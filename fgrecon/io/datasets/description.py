@@ -83,6 +83,14 @@ def box_pose(world_T_object: Array, size: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class Sweep:
+    """A scan of a LiDAR: its file, and (4, 4) pose in the world of the frame that its points are in."""
+
+    path: Path
+    world_T_points: Array
+
+
+@dataclass(frozen=True, eq=False)
 class CameraImage:
     """An image.
 
@@ -94,6 +102,7 @@ class CameraImage:
         vehicle_T_camera: (4, 4) how it is mounted on the vehicle, in the vehicle's frame of the data set.
         world_T_vehicle: (4, 4) pose of the vehicle when the image was taken.
         moment: The moment whose boxes are those of the image; None where it has not been labelled.
+        sweep: The LiDAR's that belongs to it, or None.
         content: Gives the file, where the data set has it inside a table; it is then unpacked to `path`.
     """
 
@@ -105,12 +114,20 @@ class CameraImage:
     vehicle_T_camera: Array
     world_T_vehicle: Array
     moment: str | None
+    sweep: Sweep | None = None
     content: Callable[[], bytes] | None = None
 
     @property
     def world_T_camera(self) -> Array:
         """(4, 4) pose of the camera when it took the image."""
         return self.world_T_vehicle @ self.vehicle_T_camera
+
+    @property
+    def camera_T_points(self) -> Array | None:
+        """(4, 4) from the frame of the sweep's points to the camera's when it took the image; None without a sweep."""
+        return (
+            None if self.sweep is None else np.asarray(np.linalg.solve(self.world_T_camera, self.sweep.world_T_points))
+        )
 
     def pixels(self, points: Array) -> tuple[Array, Array]:
         """(N, 2) pixels of points (N, 3) of the world, and their depths (N,); behind the camera they mean nothing."""
@@ -129,16 +146,12 @@ class Moment:
         time: Seconds, by the data set's clock.
         world_T_vehicle: (4, 4) pose of the vehicle then.
         boxes: The objects.
-        sweep: File of the LiDAR's points, or None.
-        world_T_lidar: (4, 4) pose of the LiDAR then, in whose frame the points are, or None.
     """
 
     name: str
     time: float
     world_T_vehicle: Array
     boxes: tuple[WorldBox, ...]
-    sweep: Path | None = None
-    world_T_lidar: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,8 +232,6 @@ def images_there(drive: DataSequence, images: tuple[CameraImage, ...]) -> tuple[
 def _frame(number: int, image: CameraImage, drive: DataSequence, tracks: dict[str, int]) -> DriveFrame:
     moment = None if image.moment is None else drive.moments[image.moment]
     boxes = () if moment is None else moment.boxes
-    place = None if moment is None else moment.world_T_lidar
-    camera_T_lidar = None if place is None else np.linalg.inv(image.world_T_camera).astype(np.float64) @ place
     seen = [(box, row) for box in boxes if (row := _row(box, image)) is not None]
     kinds = [drive.cars.get(box.kind, "_".join(box.kind.split())) for box, _ in seen]
     objects = Objects.of_rows(kinds, np.array([row for _, row in seen]))
@@ -231,10 +242,10 @@ def _frame(number: int, image: CameraImage, drive: DataSequence, tracks: dict[st
         tracks=np.array([tracks.setdefault(box.track or box.name, len(tracks)) for box, _ in seen], dtype=np.int64),
         usable=np.ones(len(seen), dtype=bool),
         labelled=image.moment is not None,
-        calibration=KittiCalibration(image.lens, np.zeros(3), camera_T_lidar),
+        calibration=KittiCalibration(image.lens, np.zeros(3), image.camera_T_points),
         time=image.time if drive.continuous else None,
         world_T_camera=image.world_T_camera if drive.continuous else None,
-        sweep=None if moment is None else moment.sweep,
+        sweep=None if image.sweep is None else image.sweep.path,
     )
 
 

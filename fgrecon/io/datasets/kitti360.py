@@ -21,14 +21,15 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import rigid
 from fgrecon.core.lens import MEI
-from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
-from fgrecon.io.datasets.lines import named_lines, named_matrix, numbers
+from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
+from fgrecon.io.datasets.lines import as_pose, named_lines, named_matrix, named_pose, numbers
 from fgrecon.io.files import read_text
 
 Array = NDArray[np.float64]
 
 _CAMERAS = {"image_00": "data_rect", "image_01": "data_rect", "image_02": "data_rgb", "image_03": "data_rgb"}
 """Folders of the images; the last two are fisheyes."""
+_SCANS = "velodyne_points/data"
 _RATE = 10.0  # frames per second, about
 _STATIC = -1
 _MEI = "xi", "k1", "k2", "p1", "p2"
@@ -66,14 +67,15 @@ def _read(name: str, path: Path) -> DataSequence:
     }
     mounts = named_lines(path / "calibration" / "calib_cam_to_pose.txt")
     intrinsics = named_lines(path / "calibration" / "perspective.txt")
+    vehicle_T_velo = _velo(path, mounts)
     images = []
     for camera, part in _CAMERAS.items():
         own = path / "calibration" / f"{camera}.yaml"
         if part == "data_rgb" and not own.is_file():
             continue
         lens, turn = (_fisheye(own), np.eye(4)) if part == "data_rgb" else _lens(intrinsics, camera, path)
-        vehicle_T_camera = named_matrix(mounts, camera, (3, 4), path / "calibration") @ np.linalg.inv(turn)
-        folder = path / "data_2d_raw" / name / camera / part
+        vehicle_T_camera = named_pose(mounts, camera, path / "calibration") @ np.linalg.inv(turn)
+        folder, scans = path / "data_2d_raw" / name / camera / part, path / "data_3d_raw" / name / _SCANS
         images += [
             CameraImage(
                 camera=camera,
@@ -81,13 +83,23 @@ def _read(name: str, path: Path) -> DataSequence:
                 name=f"{frame:010d}",
                 time=frame / _RATE,
                 lens=lens,
-                vehicle_T_camera=np.vstack([vehicle_T_camera, [0.0, 0.0, 0.0, 1.0]]),
+                vehicle_T_camera=vehicle_T_camera,
                 world_T_vehicle=pose,
                 moment=str(frame) if frame in boxes else None,
+                sweep=None if vehicle_T_velo is None else Sweep(scans / f"{frame:010d}.bin", pose @ vehicle_T_velo),
             )
             for frame, pose in poses.items()
         ]
     return DataSequence(name, tuple(images), moments, _CARS)
+
+
+def _velo(path: Path, mounts: Mapping[str, list[str]]) -> Array | None:
+    """(4, 4) from the LiDAR's frame to the vehicle's; None without its calibration."""
+    file = path / "calibration" / "calib_cam_to_velo.txt"
+    if not file.is_file():
+        return None
+    velo_T_camera = as_pose(numbers(read_text(file, "calibration").split(), 12, str(file)))
+    return named_pose(mounts, "image_00", path / "calibration") @ np.linalg.inv(velo_T_camera)
 
 
 def _labels(path: Path, part: str, name: str) -> Path:
@@ -101,7 +113,7 @@ def _frames(path: Path) -> dict[int, Array]:
         if not line.strip():
             continue
         values = numbers(line.split(), 13, f"{path}:{number}")
-        found[int(values[0])] = np.vstack([values[1:].reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
+        found[int(values[0])] = as_pose(values[1:])
     return found
 
 

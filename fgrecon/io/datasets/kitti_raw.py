@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import rigid
-from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
+from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
 from fgrecon.io.datasets.lines import named_lines, named_matrix, numbers
 from fgrecon.io.files import read_text
 from fgrecon.io.kitti_calibration import read_calibration
@@ -51,8 +51,7 @@ def _read(name: str, path: Path) -> DataSequence:
             WorldBox(f"{track}@{frame}", kind, pose @ imu_T_velo @ box, size, track, occlusion=occlusion)
             for track, kind, box, size, occlusion in boxes[frame]
         )
-        sweep = path / "velodyne_points" / "data" / f"{frame:010d}.bin"
-        moments[str(frame)] = Moment(str(frame), clock[frame], pose, here, sweep, pose @ imu_T_velo)
+        moments[str(frame)] = Moment(str(frame), clock[frame], pose, here)
     for camera, projection in _CAMERAS.items():
         if not (path / camera).is_dir():
             continue
@@ -76,6 +75,7 @@ def _read(name: str, path: Path) -> DataSequence:
                 vehicle_T_camera=mount,
                 world_T_vehicle=pose,
                 moment=str(frame) if str(frame) in moments else None,
+                sweep=Sweep(path / "velodyne_points" / "data" / f"{frame:010d}.bin", pose @ imu_T_velo),
             )
             for frame, pose in poses.items()
             if frame < len(times)

@@ -36,6 +36,20 @@ def named_matrix(lines: Mapping[str, list[str]], name: str, shape: tuple[int, in
     return numbers(lines[name], shape[0] * shape[1], where).reshape(shape)
 
 
+def named_pose(lines: Mapping[str, list[str]], name: str, path: Path) -> Array:
+    """(4, 4) of the twelve numbers of a line.
+
+    Raises:
+        InvalidInputError: As `named_matrix` raises it.
+    """
+    return as_pose(named_matrix(lines, name, (3, 4), path))
+
+
+def as_pose(values: Array) -> Array:
+    """(4, 4) of twelve numbers [R | t]."""
+    return np.vstack([values.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
+
+
 def numbers(words: Sequence[str], count: int, where: str) -> Array:
     """So many numbers.
 

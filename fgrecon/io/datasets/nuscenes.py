@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
+from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.nuscenes import NuScenesTables, is_nuscenes, open_nuscenes, pose_of
 from fgrecon.io.nuscenes_detections import read_boxes_by_sample
@@ -50,7 +50,7 @@ def _read(name: str, tables: NuScenesTables) -> DataSequence:
     poses = _Poses(tables) if trucks else None
     images: list[CameraImage] = []
     places: dict[str, Array] = {}
-    sweeps: dict[str, tuple[Path, Array]] = {}
+    sweeps: dict[str, Sweep] = {}
     for record in tables.table("sample_data").values():
         sample = record.get("sample_token", str)
         if sample not in samples:
@@ -66,15 +66,18 @@ def _read(name: str, tables: NuScenesTables) -> DataSequence:
         file = tables.folder.parent / record.get("filename", str)
         if sensor.data.get("camera_intrinsic"):
             images.append(_image(record, sensor, channel, file, place, sample if key else None))
-        elif key and (channel.startswith("LIDAR") and (sample not in sweeps or channel < sweeps[sample][0].name)):
-            sweeps[sample] = file, place @ pose_of(sensor)
+        elif key and (
+            channel.startswith("LIDAR") and (sample not in sweeps or channel < sweeps[sample].path.parent.name)
+        ):
+            sweeps[sample] = Sweep(file, place @ pose_of(sensor))
         if key and (sample not in places or channel.startswith("LIDAR")):
             places[sample] = place
     moments = {
-        t: Moment(t, s.get("timestamp", int) * _SECONDS, places.get(t, np.eye(4)), tuple(boxes[t]), *sweeps.get(t, ()))
+        t: Moment(t, s.get("timestamp", int) * _SECONDS, places.get(t, np.eye(4)), tuple(boxes[t]))
         for t, s in samples.items()
     }
-    return DataSequence(name, tuple(images), moments, _CARS)
+    shown = (replace(image, sweep=sweeps.get(image.moment or "")) for image in images)
+    return DataSequence(name, tuple(shown), moments, _CARS)
 
 
 def submitted(path: Path, drive: DataSequence) -> DataSequence:

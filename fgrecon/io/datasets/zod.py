@@ -7,6 +7,7 @@ forward. It is a fisheye (Kannala-Brandt), whose image is anonymised in two ways
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
@@ -19,13 +20,15 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, quaternion_pose
-from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
+from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
 from fgrecon.io.json_fields import Fields, numbers, read_json, within
 from fgrecon.io.poses import CameraPoses
 
 Array = NDArray[np.float64]
 
 _LISTS = "trainval-*-*.json"  # of frames, sequences and drives; full or mini
+_LIDAR = "velodyne"
+_FARTHEST = 0.06  # seconds from an image to its sweep: both come ten times a second
 _RIGID = 1e-3  # by so much a rotation may fail to be one: text of some digits does
 _SIZES = "size_3d_length", "size_3d_width", "size_3d_height"
 _CARS = {"Vehicle_Car": "Car", "Vehicle_Van": "Van"}
@@ -71,6 +74,10 @@ def _read(name: str, entry: Fields) -> DataSequence:
         file = root / Fields(labels, f"{entry.where}annotations.object_detection.").get("filepath", str)
         boxes = _boxes(file, world_T_vehicle @ vehicle_T_lidar, tuple(shots))
         moments[name] = Moment(name, key, world_T_vehicle, boxes)
+    sweeps = {}
+    for number, scan in enumerate(Fields(entry.data.get("lidar_frames") or {}, entry.where).data.get(_LIDAR) or ()):
+        scan = Fields(scan, f"{entry.where}lidar_frames.{_LIDAR}[{number}].")
+        sweeps[_seconds(scan, "time")] = root / scan.get("filepath", str)
     images = []
     for camera, found in shots.items():
         times = [_seconds(shot, "time") for shot in found]
@@ -85,11 +92,21 @@ def _read(name: str, entry: Fields) -> DataSequence:
                 vehicle_T_camera=vehicle_T_camera,
                 world_T_vehicle=pose,
                 moment=name if time == nearest and moments else None,
+                sweep=_nearest_sweep(sweeps, time, poses, vehicle_T_lidar),
             )
             for shot, time in zip(found, times, strict=True)
             if (pose := poses.at(0, time)) is not None
         ]
     return DataSequence(name, tuple(images), moments, _CARS)
+
+
+def _nearest_sweep(
+    files: Mapping[float, Path], time: float, poses: CameraPoses, vehicle_T_lidar: Array
+) -> Sweep | None:
+    """The sweep nearest to an image, at the time of which all its points are; None where none is near."""
+    near = min(files, key=lambda one: abs(one - time), default=None)
+    pose = None if near is None or abs(near - time) > _FARTHEST else poses.at(0, near)
+    return None if near is None or pose is None else Sweep(files[near], pose @ vehicle_T_lidar)
 
 
 def _seconds(fields: Fields, name: str) -> float:

@@ -5,7 +5,8 @@
 | `.bin` | KITTI: four float32 a point, x, y, z and reflectance |
 | `.pcd.bin` | nuScenes: five float32 a point, x, y, z, intensity and ring |
 | `.npz` | `points` (N, 3) in metres, or `points_cm` (N, 3) in centimetres |
-| `.npy` | (N, 3) or wider; the first three columns count |
+| `.npy` | (N, 3) or wider, of which the first three columns count; or ZOD's records with x, y and z |
+| `.feather` | Argoverse 2's sweep: columns x, y, z |
 | `.pcd` | of the Point Cloud Library |
 | `.ply` | vertices of any mesh or cloud |
 | `.las`, `.laz` | of surveys |
@@ -29,6 +30,7 @@ from numpy.typing import NDArray
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import FgreconError, InvalidInputError, MissingPackageError
 from fgrecon.io.arrays import read_arrays, read_limited, read_lone_array
+from fgrecon.io.datasets.columns import Columns
 
 Array = NDArray[np.float64]
 
@@ -108,9 +110,18 @@ def _npz(content: bytes, path: Path) -> _Read:
 
 def _npy(content: bytes, path: Path) -> _Read:
     numbers = read_lone_array(content, str(path), "Give an array (N, 3) of numbers.")
+    if {"x", "y", "z"} <= set(numbers.dtype.names or ()):
+        return PointFrame.LIDAR, np.stack([numbers[axis] for axis in "xyz"], axis=1)
     if numbers.ndim != 2 or numbers.shape[1] < 3:
         raise InvalidInputError("lidar", f"{path}: shape {numbers.shape}", "Give an array (N, 3) of numbers.")
     return PointFrame.UNKNOWN, numbers[:, :3]
+
+
+def _feather(content: bytes, path: Path) -> _Read:
+    from pyarrow import feather
+
+    table = Columns(feather.read_table(BytesIO(content), columns=[*"xyz"]), f"{path}: ")
+    return PointFrame.LIDAR, table.numbers(*"xyz")
 
 
 def _pcd(content: bytes, path: Path) -> _Read:
@@ -140,6 +151,7 @@ _READERS: dict[str, Callable[[bytes, Path], _Read]] = {
     ".pcd.bin": partial(_floats, 5),
     ".npz": _npz,
     ".npy": _npy,
+    ".feather": _feather,
     ".pcd": _pcd,
     ".ply": _ply,
     ".las": _las,

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 from av2.datasets.sensor.av2_sensor_dataloader import AV2SensorDataLoader
 from av2.structures.cuboid import CuboidList
+from av2.structures.sweep import Sweep
 from av2.utils.io import read_feather
 
 ORDER = [6, 7, 5, 4, 2, 3, 1, 0]
 """Of the devkit's corners: rear before front, bottom before top, right before left, as fgrecon has them."""
 root = Path(sys.argv[1])
 data = AV2SensorDataLoader(root, root)
-found = {"corners": {}, "images": {}}
+found = {"corners": {}, "images": {}, "points": {}}
 for log in data.get_log_ids():
     table = read_feather(root / log / "annotations.feather")
     cuboids = CuboidList.from_feather(root / log / "annotations.feather")
@@ -36,4 +37,7 @@ for log in data.get_log_ids():
                         "pixels": np.where(points[:, 2:] > 0.1, pixels, 0.0).tolist(),
                     }
             found["images"][f"{camera}/{image.stem}"] = seen
+            sweep = Sweep.from_feather(data.get_lidar_fpath(log, time))
+            _, points, _ = data.project_ego_to_img_motion_compensated(sweep.xyz, camera, int(image.stem), time, log)
+            found["points"][f"{camera}/{image.stem}"] = np.asarray(points)[:, :3].tolist()
 json.dump(found, sys.stdout)

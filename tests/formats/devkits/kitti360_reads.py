@@ -11,6 +11,7 @@ from contextlib import redirect_stdout
 
 import numpy as np
 
+from kitti360scripts.devkits.commons.loadCalibration import loadCalibrationCameraToPose, loadCalibrationRigid
 from kitti360scripts.helpers.annotation import Annotation3D
 import yaml
 
@@ -22,7 +23,9 @@ yaml.load = lambda text: with_loader(text, yaml.SafeLoader)  # it calls it as ya
 root, name = sys.argv[1], "2013_05_28_drive_0000_sync"
 with redirect_stdout(io.StringIO()):
     labels = Annotation3D(f"{root}/data_3d_bboxes", name)
-found = {"corners": {}, "images": {}}
+found = {"corners": {}, "images": {}, "points": {}}
+mounts = loadCalibrationCameraToPose(f"{root}/calibration/calib_cam_to_pose.txt")
+velo = loadCalibrationRigid(f"{root}/calibration/calib_cam_to_velo.txt") @ np.linalg.inv(mounts["image_00"])
 for camera in range(4):
     lens = (CameraPerspective if camera < 2 else CameraFisheye)(root, name, camera)
     for frame in (7, 8):
@@ -51,4 +54,10 @@ for camera in range(4):
                 found["corners"][key] = corners.tolist()
                 seen[key] = {"corners": points.T.tolist(), "pixels": np.where(ahead[:, None], pixels, 0.0).tolist()}
         found["images"][f"image_{camera:02d}/{frame:010d}"] = seen
+        scan = np.fromfile(f"{root}/data_3d_raw/{name}/velodyne_points/data/{frame:010d}.bin", np.float32).reshape(
+            -1, 4
+        )
+        points = (np.linalg.inv(velo @ mounts[f"image_{camera:02d}"]) @ np.c_[scan[:, :3], np.ones(len(scan))].T)[:3]
+        turned = lens.R_rect[:3, :3] @ points if camera < 2 else points  # as its viewer does
+        found["points"][f"image_{camera:02d}/{frame:010d}"] = turned.T.tolist()
 json.dump(found, sys.stdout)
