@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,12 @@ class KernelHook(BuildHookInterface[Any]):
         build_data["artifacts"] += built
 
 
+def _checksum(source: Path) -> int:
+    """What `factors.native` compares with the sources that are there."""
+    header = source.with_suffix(".pxd")
+    return zlib.crc32(source.read_bytes() + (header.read_bytes() if header.exists() else b""))
+
+
 def _compile(root: Path) -> list[str]:
     from Cython.Build import cythonize
     from setuptools import Distribution, Extension
@@ -46,7 +53,13 @@ def _compile(root: Path) -> list[str]:
     os.chdir(root)  # names of modules follow from paths
     try:
         extensions = [
-            Extension(path.removesuffix(".pyx").replace("/", "."), [path], extra_compile_args=flags) for path in KERNELS
+            Extension(
+                path.removesuffix(".pyx").replace("/", "."),
+                [path],
+                extra_compile_args=flags,
+                define_macros=[("FGRECON_SOURCES", f"{_checksum(Path(path))}u")],
+            )
+            for path in KERNELS
         ]
         modules = cythonize(extensions, build_dir="build/cython", quiet=True)
         command = build_ext(Distribution({"ext_modules": modules}))

@@ -19,6 +19,11 @@ from factors.box import FARTHEST_SHARE, NEAREST_KINK
 from factors.mixture import STIFFEST
 from factors.projection import LEAST_DEPTH, SHALLOWEST
 
+cdef extern from *:
+    unsigned int FGRECON_SOURCES
+
+SOURCES = FGRECON_SOURCES  # what it was compiled from, for `factors.native`
+
 cdef double PI = 3.14159265358979323846
 cdef double LEAST = LEAST_DEPTH, FARTHEST = FARTHEST_SHARE, NEAREST = NEAREST_KINK, STIFF = STIFFEST, SHALLOW = SHALLOWEST
 

@@ -11,6 +11,11 @@ from factors._rows cimport Source
 from factors import surface_points as rows
 from factors.mixture import STIFFEST
 
+cdef extern from *:
+    unsigned int FGRECON_SOURCES
+
+SOURCES = FGRECON_SOURCES  # what it was compiled from, for `factors.native`
+
 cdef double PI = 3.14159265358979323846, STIFF = STIFFEST, SPREAD = rows.SPREAD, LEAST_COSINE = rows.LEAST_COSINE
 cdef double LONGEST_STEP = rows.LONGEST_STEP, SOFTNESS = rows.SOFTNESS, LEAST_RATIO = rows.LEAST_RATIO
 cdef double FARTHEST = rows.FARTHEST, OUTSIDE = rows.OUTSIDE

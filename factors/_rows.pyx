@@ -13,6 +13,11 @@ from libc.string cimport memcpy, memset
 import numpy as np
 
 cdef extern from *:
+    unsigned int FGRECON_SOURCES
+
+SOURCES = FGRECON_SOURCES  # what it was compiled from, for `factors.native`
+
+cdef extern from *:
     """
     #if defined(__GNUC__)
     typedef double fgrecon_two __attribute__((vector_size(16), aligned(8), may_alias));

@@ -13,6 +13,11 @@ import numpy as np
 from factors._rows cimport Source
 from factors.rectangularity import SHORTEST_DIAGONAL
 
+cdef extern from *:
+    unsigned int FGRECON_SOURCES
+
+SOURCES = FGRECON_SOURCES  # what it was compiled from, for `factors.native`
+
 cdef double SHORTEST = SHORTEST_DIAGONAL
 
 

@@ -8,7 +8,9 @@ installed, if there is a C compiler. Without them, or with the environment varia
 from __future__ import annotations
 
 import os
+import zlib
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from factors.errors import InvalidInputError
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 _VARIABLE = "FGRECON_KERNEL"
+_STALE = "compiled from sources of another version"
+_AGAIN = f"Install fgrecon again, which compiles it anew (`pip install -e .`), or set {_VARIABLE}=numpy."
 _FOUND: dict[str, ModuleType | None] = {}
 
 
@@ -24,7 +28,8 @@ def native(name: str) -> ModuleType | None:
     """A compiled module by its name, or None where it was not built or is switched off.
 
     Raises:
-        InvalidInputError: The environment variable has another value.
+        InvalidInputError: The environment variable has another value, or the module was compiled from other sources
+            than those beside it.
     """
     choice = os.environ.get(_VARIABLE)
     if choice:
@@ -32,8 +37,19 @@ def native(name: str) -> ModuleType | None:
             raise InvalidInputError(_VARIABLE, choice, "Set the environment variable to numpy, or not at all.")
         return None
     if name not in _FOUND:
-        try:
-            _FOUND[name] = import_module(name)
-        except ImportError:
-            _FOUND[name] = None
+        _FOUND[name] = _found(name)
     return _FOUND[name]
+
+
+def _found(name: str) -> ModuleType | None:
+    try:
+        module = import_module(name)
+    except ImportError as error:
+        if error.name == name:
+            return None
+        raise InvalidInputError(name, _STALE, _AGAIN) from error  # it wants a constant that is no longer there
+    source = Path(str(module.__file__)).with_name(name.rpartition(".")[2] + ".pyx")
+    parts = [part.read_bytes() for part in (source, source.with_suffix(".pxd")) if part.exists()]
+    if parts and getattr(module, "SOURCES", None) != zlib.crc32(b"".join(parts)):
+        raise InvalidInputError(name, _STALE, _AGAIN)
+    return module

@@ -45,9 +45,9 @@ def new_group(name: str, text: str, of_research: Sequence[str]) -> typer.Typer:
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
             there = self.list_commands(ctx)
             if not there:
-                raise MissingPackageError(RESEARCH, f"fgrecon {name}")
+                raise MissingPackageError(RESEARCH, f"fgrecon {name}", "research")
             if args and args[0] in of_research and args[0] not in there:
-                raise MissingPackageError(RESEARCH, f"fgrecon {name} {args[0]}")
+                raise MissingPackageError(RESEARCH, f"fgrecon {name} {args[0]}", "research")
             return super().parse_args(ctx, args)
 
     group = typer.Typer(cls=Group, help=text, no_args_is_help=True)

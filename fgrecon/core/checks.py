@@ -16,6 +16,7 @@ from fgrecon.core.errors import InvalidInputError
 _NUMBERS = (
     "biufO"  # numpy's kinds; an array of objects may hold numbers, and whether it does shows when it is converted
 )
+_NUMBER = _NUMBERS.replace("b", "")  # True is no number of metres
 
 Kept = TypeVar("Kept", bound=NDArray[Any])
 
@@ -42,7 +43,7 @@ def _numbers(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: s
         raise InvalidInputError(field, value, fix or f"Give numbers in an array of shape {shape_words(shape)}.")
     try:
         given = np.asarray(value)
-        if given.dtype.kind not in _NUMBERS:  # text, bytes, dates; complex numbers would lose a part
+        if given.dtype.kind not in (_NUMBERS if shape else _NUMBER):  # text, dates; complex numbers would lose a part
             raise TypeError(f"{given.dtype}")
         array = hidden_as_nan(value, given.astype(np.float64, copy=False))
     except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # the last of tensors with a gradient
@@ -148,6 +149,17 @@ def as_instance(field: str, value: Any, kind: type[Any]) -> Any:
     if not isinstance(value, kind):
         raise InvalidInputError(field, value, f"Give a `{kind.__name__}`.")
     return value
+
+
+def as_flag(field: str, value: Any) -> bool:
+    """True or False.
+
+    Raises:
+        InvalidInputError: It is neither.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise InvalidInputError(field, value, "Give True or False.")
+    return bool(value)
 
 
 def as_list(field: str, value: Any, kind: type | None = None, *, gaps: bool = False) -> list[Any]:

@@ -34,16 +34,18 @@ class MissingPackageError(FgreconError, ImportError):
     Attributes:
         package: Its name, as pip takes it.
         purpose: What needs it.
+        folder: The folder of a checkout of fgrecon that it is in; empty where an index has it.
     """
 
-    def __init__(self, package: str, purpose: str) -> None:
-        self.package, self.purpose = package, purpose
-        command = shlex.join(["pip", "install", *package.split()])
-        super().__init__(f"{purpose} needs {package}, which is not installed here. Run: {command}")
+    def __init__(self, package: str, purpose: str, folder: str = "") -> None:
+        self.package, self.purpose, self.folder = package, purpose, folder
+        command = shlex.join(["pip", "install", *([f"./{folder}"] if folder else package.split())])
+        where = "in a checkout of fgrecon, " if folder else ""
+        super().__init__(f"{purpose} needs {package}, which is not installed here. Run: {where}{command}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle, as from a worker process."""
-        return type(self), (self.package, self.purpose)
+        return type(self), (self.package, self.purpose, self.folder)
 
 
 class ChildNotBegunError(FgreconError, RuntimeError):

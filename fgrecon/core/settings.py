@@ -23,6 +23,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from fgrecon.core.checks import as_flag
 from fgrecon.core.errors import InvalidInputError
 
 Kind = TypeVar("Kind", bound=StrEnum)
@@ -57,13 +58,7 @@ def count(default: int | None, *, least: int, most: int | None = None) -> Any:
 
 def flag(default: bool) -> Any:
     """True or False."""
-
-    def check(name: str, value: Any) -> bool:
-        if not isinstance(value, bool | np.bool_):
-            raise InvalidInputError(name, value, "Give True or False.")
-        return bool(value)
-
-    return field(default=default, metadata={_CHECK: check})
+    return field(default=default, metadata={_CHECK: as_flag})
 
 
 def choice(default: StrEnum) -> Any:

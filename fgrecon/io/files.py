@@ -18,6 +18,7 @@ from fgrecon.core.text import whole_text
 
 _ABANDONED = 3600.0  # seconds
 _PART = ".part"
+_TO_WRITE = os.W_OK | os.X_OK  # what a folder allows in which files are made
 _LONGEST = 255 - len(f"..????????{_PART}")
 """Bytes of a name that the names of its parts have in them; longer ones have its hash."""
 
@@ -94,21 +95,28 @@ def check_output(path: Path | None) -> None:
     """Refuse an output that cannot be written before the work instead of after it; None is none.
 
     Raises:
-        InvalidInputError: It is a folder, its folder does not exist, or it is a link to itself.
+        InvalidInputError: It is a folder, its folder does not exist or cannot be written to, or it is a link to itself.
     """
-    if path is not None and (path.is_dir() or not behind_links(path).parent.is_dir()):
+    if path is None or _is_special(path):
+        return
+    folder = behind_links(path).parent
+    if path.is_dir() or not folder.is_dir():
         raise InvalidInputError("output", str(path), "Give a file in a folder that exists.")
+    if not os.access(folder, _TO_WRITE):
+        raise InvalidInputError("output", str(path), f"Give another file: {folder} cannot be written to.")
 
 
 def check_folder(path: Path) -> None:
     """Refuse a folder of results that cannot be made, before the work.
 
     Raises:
-        InvalidInputError: It is a file or would be in one, or is a link to itself.
+        InvalidInputError: It is a file, would be in one or where nothing can be written, or is a link to itself.
     """
     there = next(part for part in (path, *behind_links(path).parents) if part.exists())
     if not there.is_dir():
         raise InvalidInputError("out", str(path), f"Give another folder: {there} is a file.")
+    if not os.access(there, _TO_WRITE):
+        raise InvalidInputError("out", str(path), f"Give another folder: {there} cannot be written to.")
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.checks import as_finite, as_list, as_rows
+from fgrecon.core.checks import as_finite, as_flag, as_list, as_rows
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import AssumedCameraWarning, FgreconError, InvalidInputError
 from fgrecon.core.evidence import Evidence
@@ -118,7 +118,7 @@ def reconstruct_detections(
         InvalidInputError: An argument cannot be used.
     """
     options = checked_options(options)
-    if (together and options.shape.joint) or camera.focal_sigma:
+    if (as_flag("together", together) and options.shape.joint) or camera.focal_sigma:
         scene = reconstruct_scene(
             [detection.evidence for detection in detections],
             camera,

@@ -10,6 +10,11 @@ from libc.math cimport INFINITY, fabs, sqrt
 
 import numpy as np
 
+cdef extern from *:
+    unsigned int FGRECON_SOURCES
+
+SOURCES = FGRECON_SOURCES  # what it was compiled from, for `factors.native`
+
 
 cdef double parts(const double *D, const double *L, const double *q, double *g, double *H) noexcept nogil:
     """F(q) = m(q)' S m(q) + q' L q with gradient (4,) and Hessian (4, 4); D (10, 16) are S's derivatives."""

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.checks import as_finite
+from fgrecon.core.checks import as_finite, as_flag
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.history import Deferred
@@ -116,7 +116,7 @@ class Tracker:
         self._setup = replace(setup, options=replace(setup.options, keep_history=False))
         kept = None if past is None else int(past)
         self._model = FilterModel(setup.prior.category.motion, int(window), kept, motion_factors)
-        self._road = GroundFilter() if shared_ground else None
+        self._road = GroundFilter() if as_flag("shared_ground", shared_ground) else None
         self._tracks: dict[int, VehicleTrack] = {}
         self._forgotten: list[float] = []  # how far the boxes of vehicles were off that were forgotten
         self._time = self._clock = -np.inf
@@ -171,6 +171,7 @@ class Tracker:
         time = float(as_finite("time", time, (), "Give seconds."))
         if not issubclass(kind := type(observations), Mapping):
             raise InvalidInputError("observations", kind.__name__, _MAPPING)
+        made = as_flag("estimated", estimated)
         used, plane = calibrated("camera", Camera.of(camera)), as_ground(ground)
         place = None if world_T_camera is None else gtsam.Pose3(as_camera_pose(world_T_camera))
         moved = None if motion_covariance is None else as_motion_covariance(motion_covariance)
@@ -182,7 +183,7 @@ class Tracker:
             clock = max(time, self._clock + GROUND_FILTER.shortest_s)
             drift = self._drift.moved(place, moved)
             frame = CameraFrame(clock, used, plane, place, moved, drift, sensed=plane is not given)
-            found = self._update(frame, time, observations, sensed, estimated=estimated)
+            found = self._update(frame, time, observations, sensed, estimated=made)
             self._time, self._clock, self._cameras, self._drift = time, clock, cameras, frame.drift
             return found
 

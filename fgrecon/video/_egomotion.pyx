@@ -6,6 +6,11 @@ from libc.math cimport cos, fabs, fmax, sin, sqrt
 
 import numpy as np
 
+cdef extern from *:
+    unsigned int FGRECON_SOURCES
+
+SOURCES = FGRECON_SOURCES  # what it was compiled from, for `factors.native`
+
 
 cdef bint solved(double *A, double *x) noexcept nogil:
     """x = A^-1 x (9,) by elimination with pivots; A is lost. False where it is singular."""

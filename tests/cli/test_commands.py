@@ -75,6 +75,7 @@ def test_what_another_package_brings_says_so(words):
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert f"fgrecon {words} needs fgrecon-research" in done.stderr
+    assert done.stderr.endswith("in a checkout of fgrecon, pip install ./research\n")  # no index has it
 
 
 @pytest.mark.parametrize("path", COMMANDS, ids=" ".join)

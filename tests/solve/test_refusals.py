@@ -69,6 +69,8 @@ BAD = {
     "camera below ground": ({"ground": -1.0}, "ground", InvalidInputError),
     "ground NaN": ({"ground": np.nan}, "ground", InvalidInputError),
     "ground in words": ({"ground": "flat"}, "ground", InvalidInputError),
+    "ground as a switch": ({"ground": True}, "ground", InvalidInputError),
+    "guess as a switch": ({"initial": True}, "initial", InvalidInputError),
     "guess NaN": ({"initial": np.nan}, "initial", InvalidInputError),
     "guess in degrees": ({"initial": 40.0}, "initial", InvalidInputError),
     "size of a guess in KITTI's order": (

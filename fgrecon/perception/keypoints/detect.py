@@ -296,6 +296,10 @@ def as_rgb8(image: NDArray[Any]) -> NDArray[np.uint8]:
     Raises:
         InvalidInputError: It is no image.
     """
+    given: object = image
+    if isinstance(given, bytes | bytearray):
+        fix = "Give its path, or its pixels: `fgrecon.read_image` and `cv2.imdecode` have them."
+        raise InvalidInputError("image", f"{len(given)} bytes of a file", fix)
     pixels = np.asarray(image)
     fix = "Give an array (H, W, 3) of RGB or (H, W) of grey values, uint8 or uint16."
     if pixels.ndim == 2:
