@@ -2,7 +2,7 @@
 
 Run from the repository root:
     python -m benchmarks.bench_keypoints [--weights FILE] [--batch 8] [--threads 2] [--device cpu] [--repeats 20]
-Times cropping, networks and decoding of cars in one KITTI-sized image of smooth noise, and the detector's two looks at
+Times cropping, networks and decoding of cars in one KITTI-sized image of smooth noise, and the detector's two passes at
 it. Runtimes take turns, so that what else the machine does slows all of them: the ratio is that of their medians, above
 one where the second is faster. Threads that wait for others lose most on a busy machine: see one thread as well.
 """

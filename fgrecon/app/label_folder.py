@@ -115,12 +115,14 @@ class LabelFolder:
 
 def _instance(label: VehicleLabel) -> dict[str, Any]:
     """A label as a keypoint file has it; hidden keypoints are not measured."""
-    seen = (label.probability >= SEEN) & np.isfinite(label.keypoints).all(axis=1)
+    measured = (label.probability >= SEEN) & np.isfinite(label.keypoints).all(axis=1)
     return {
         "id": str(label.track),
         "track": label.track,
         "kind": label.kind,
-        "keypoints": [point if known else None for point, known in zip(label.keypoints.tolist(), seen, strict=True)],
+        "keypoints": [
+            point if known else None for point, known in zip(label.keypoints.tolist(), measured, strict=True)
+        ],
         "confidence": label.probability.tolist(),
         "confidence_midpoint": SEEN,
         "covariance": label.covariance.tolist(),

@@ -91,21 +91,21 @@ def _trust(outcome: Outcome) -> Array:
 def _label(outcome: Outcome, result: Reconstruction, image: Path, number: int) -> VehicleLabel:
     given, camera, pose = outcome.task.instance, outcome.task.camera, result.camera_T_object
     trust = _trust(outcome)
-    seen, weights = trust > 0, np.nan_to_num(result.diagnostics.weights)
+    given_by_hand, weights = trust > 0, np.nan_to_num(result.diagnostics.weights)
     corners = transform(pose, box_corners(result.box_size))
     width, height = camera.image_size or (0, 0)
     points = result.pose.wireframe_uv
     box = given.box if given.box is not None else np.concatenate([np.nanmin(points, axis=0), np.nanmax(points, axis=0)])
     hand = hand_variance(box.tolist()) * np.eye(2)
-    exact = np.broadcast_to(hand, (len(seen), 2, 2)) if given.covariance is None else given.covariance
+    exact = np.broadcast_to(hand, (len(given_by_hand), 2, 2)) if given.covariance is None else given.covariance
     return VehicleLabel(
         image=LabelledImage(image, (width, height), camera.matrix, "", 0),
         track=number if given.track is None else given.track,
         kind=given.kind or "Car",
         box=box,
-        keypoints=np.where(seen[:, None], given.keypoints, points),
-        probability=seen.astype(np.float64),
-        covariance=np.where(seen[:, None, None], exact, _projected(result, camera)),
+        keypoints=np.where(given_by_hand[:, None], given.keypoints, points),
+        probability=given_by_hand.astype(np.float64),
+        covariance=np.where(given_by_hand[:, None, None], exact, _projected(result, camera)),
         corners=_pixels(camera, corners),
         location=result.location,
         rotation_y=float(result.rotation_y),

@@ -105,9 +105,9 @@ def read_file(path: Path, request: FileRequest, photograph: Path | None = None) 
     Raises:
         InvalidInputError: A file cannot be used, there is no car in the photograph, or a vehicle has no camera.
     """
-    source, seen = request.source, path if is_image(path) else photograph
-    if seen is not None:
-        pixels, exif = read_photograph(seen, source.whole)
+    source, image = request.source, path if is_image(path) else photograph
+    if image is not None:
+        pixels, exif = read_photograph(image, source.whole)
         source = replace(source, image=pixels, exif=exif)
     return _photograph(path, source, request) if is_image(path) else _keypoints(path, source, request, photograph)
 

@@ -201,10 +201,10 @@ class Reconstructor:
             instance = instance.fitted(camera.image_size, scale=self._scale_to_image)
             if camera.image_size is None:
                 camera = replace(camera, image_size=instance.image_size)
-            seen = instance.observation
-            warning = input_warning_of(seen, camera)
+            observation = instance.observation
+            warning = input_warning_of(observation, camera)
             result = reconstruct(
-                seen,
+                observation,
                 camera,
                 prior=self.prior,
                 ground=self._ground,
@@ -214,7 +214,7 @@ class Reconstructor:
             )
         except Exception as error:  # noqa: BLE001 - one bad vehicle must not take the others of its row along
             return failed_row(origin, error, vehicle, name) | given_of(instance) | {"input_warning": warning}
-        warning = warning or result_warning_of(seen, result)
+        warning = warning or result_warning_of(observation, result)
         return solved_row(origin, vehicle, name, result, camera) | given_of(instance) | {"input_warning": warning}
 
     def _image(self, task: Mapping[str, Any], origin: Row) -> Iterator[Row]:

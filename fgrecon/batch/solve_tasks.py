@@ -224,9 +224,9 @@ def fit_warnings(outcomes: Iterable[Outcome]) -> list[str]:
     """What to warn of once vehicles are solved: of most of them hardly a keypoint fits, or sides are exchanged."""
     warnings = InputWarnings()
     for outcome in outcomes:
-        seen = outcome.task.usable_observation
-        if outcome.result is not None and seen is not None:
-            warnings.add_result(outcome.name, seen, outcome.result)
+        observation = outcome.task.usable_observation
+        if outcome.result is not None and observation is not None:
+            warnings.add_result(outcome.name, observation, outcome.result)
     return warnings.lines()
 
 

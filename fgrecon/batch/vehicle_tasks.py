@@ -143,8 +143,10 @@ def _track_instances(data: object, path: Path, category: Category) -> tuple[list
     instances = []
     for frame in track.frames:  # each frame is an image of its own, which shows the vehicle once
         instance = Instance(frame.name, nothing, camera=track.camera, image=frame.name)
-        if (seen := frame.observation) is not None:
-            instance = replace(instance, keypoints=seen.keypoints, confidence=seen.confidence, box=seen.box)
+        if (observation := frame.observation) is not None:
+            instance = replace(
+                instance, keypoints=observation.keypoints, confidence=observation.confidence, box=observation.box
+            )
         instances.append(instance)
     return instances, track.label_offset
 
@@ -237,14 +239,14 @@ def tasks_in_boxes(
     """
     tasks = []
     for item, detection in zip(boxes, detect_in_boxes(image, boxes, how, watch), strict=True):
-        seen = detection.observation
+        observation = detection.observation
         instance = Instance(
             item.name,
-            seen.keypoints,
-            seen.confidence,
-            seen.confidence_midpoint,
-            seen.box,
-            seen.covariance,
+            observation.keypoints,
+            observation.confidence,
+            observation.confidence_midpoint,
+            observation.box,
+            observation.covariance,
             detection.azimuth,
             track=item.track,
             kind=item.kind,
@@ -289,6 +291,6 @@ def input_warnings(tasks: Iterable[VehicleTask], *, detected: bool = False) -> l
     for task in tasks:
         if detected:
             warnings.add(task.instance.name, camera_warning_of(task.camera))
-        elif (seen := task.usable_observation) is not None:
-            warnings.add(task.instance.name, input_warning_of(seen, task.camera))
+        elif (observation := task.usable_observation) is not None:
+            warnings.add(task.instance.name, input_warning_of(observation, task.camera))
     return warnings.lines()

@@ -24,7 +24,7 @@ _MAD = 1.4826  # from the median absolute deviation to a normal standard deviati
 
 
 @dataclass(frozen=True)
-class SeenBox:
+class DetectedOutline:
     """A detected box of a vehicle that can be seen as a whole."""
 
     detected: Array  # (4,) x1, y1, x2, y2, pixels
@@ -39,8 +39,8 @@ def check_whole_cars(drives: Sequence[Drive]) -> None:
     """
     count = 0
     for frame in (frame for drive in drives for frame in drive.frames):
-        seen = frame.objects.take(wanted(frame))
-        count += sum(map(_is_whole, seen.kind, seen.occlusion.tolist(), seen.truncation.tolist()))
+        cars = frame.objects.take(wanted(frame))
+        count += sum(map(_is_whole, cars.kind, cars.occlusion.tolist(), cars.truncation.tolist()))
     _check_count(count, "labelled cars that are visible as a whole")
 
 
@@ -54,7 +54,9 @@ def _check_count(count: int, what: str) -> None:
         raise InvalidInputError("drives", f"{count} {what}", fix)
 
 
-def seen_boxes(drives: Sequence[Drive], frames: Iterable[ScoredFrame], prior: ShapePrior) -> Iterator[SeenBox]:
+def detected_outlines(
+    drives: Sequence[Drive], frames: Iterable[ScoredFrame], prior: ShapePrior
+) -> Iterator[DetectedOutline]:
     """The detected boxes of labelled cars that nothing hides and that are in the image as a whole.
 
     Args:
@@ -64,10 +66,11 @@ def seen_boxes(drives: Sequence[Drive], frames: Iterable[ScoredFrame], prior: Sh
     plain = prepare(prior)
     labelled = {(drive.name, frame.number): frame for drive in drives for frame in drive.frames}
     for frame in frames:
-        for box, seen in zip(frame.boxes, frame.sightings, strict=False):  # the first are those of the labelled boxes
+        # the first sightings are those of the labelled boxes
+        for box, sighting in zip(frame.boxes, frame.sightings, strict=False):
             if _is_whole(box.kind, box.occlusion, box.truncation):
                 label = labelled[frame.drive, frame.number]
-                yield SeenBox(np.asarray(seen.box, dtype=np.float64), _outline(label, box.index, plain))
+                yield DetectedOutline(np.asarray(sighting.box, dtype=np.float64), _outline(label, box.index, plain))
 
 
 def _outline(frame: DriveFrame, index: int, plain: VehicleModel) -> Array:
@@ -78,14 +81,14 @@ def _outline(frame: DriveFrame, index: int, plain: VehicleModel) -> Array:
     return box_around(pixels)
 
 
-def fit_boxes(seen: Sequence[SeenBox]) -> BoxSource:
+def fit_boxes(boxes: Sequence[DetectedOutline]) -> BoxSource:
     """The medians of the edges' deviations, and how far edges vary about them.
 
     Raises:
         InvalidInputError: There are too few boxes.
     """
-    _check_count(len(seen), "detected cars that are visible as a whole")
-    detected, outline = (np.array([getattr(one, name) for one in seen]) for name in ("detected", "outline"))
+    _check_count(len(boxes), "detected cars that are visible as a whole")
+    detected, outline = (np.array([getattr(one, name) for one in boxes]) for name in ("detected", "outline"))
     extent = detected[:, 2:] - detected[:, :2]
     off = (detected - outline) / np.tile(extent, 2)
     middle = np.median(off, axis=0)

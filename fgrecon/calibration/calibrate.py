@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from fgrecon.calibration.box_fit import check_whole_cars, fit_boxes, seen_boxes
+from fgrecon.calibration.box_fit import check_whole_cars, detected_outlines, fit_boxes
 from fgrecon.calibration.detector_fit import FACTORS, FittedDetector, as_said, check_labels, check_solved, fit_detector
 from fgrecon.calibration.labelled_drives import Advance, DriveRequest, ScoredDrives, score_drives
 from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
@@ -111,7 +111,7 @@ def _fit_boxes(
     drives: list[Drive], done: ScoredDrives, provenance: dict[str, Any], warn_and_keep: Callable[[str], None]
 ) -> BoxSource | None:
     """Where the edges of detected boxes are (their count goes to the provenance); None where they are too few."""
-    outlines = list(seen_boxes(drives, done.frames, done.request.given.scene.prior))
+    outlines = list(detected_outlines(drives, done.frames, done.request.given.scene.prior))
     try:
         source = fit_boxes(outlines)
     except InvalidInputError as error:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.calibration.labelled_boxes import VideoBox, wanted
-from fgrecon.calibration.labelled_frames import Rivals, ScoredFrame, looks_at, score_frames
+from fgrecon.calibration.labelled_frames import Rivals, ScoredFrame, frames_to_score, score_frames
 from fgrecon.calibration.setup import SceneKnowledge, Setup
 from fgrecon.core.camera import Ground
 from fgrecon.core.choices import BoxModel, ClassSource, TrafficSide
@@ -138,7 +138,7 @@ def score_drives(
         fix = "Give drives with labelled cars or vans of at least 25 pixels."
         raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
     setups = _setups(request, files, Options(box=request.encloses, keypoints=keypoints, traffic=request.traffic))
-    images = sum(len(looks_at(drive, setups[drive.name])) for drive in drives)
+    images = sum(len(frames_to_score(drive, setups[drive.name])) for drive in drives)
     others, done = None if rivals is None else rivals(request.given.scene), count(1)
     frames = score_frames(
         drives,

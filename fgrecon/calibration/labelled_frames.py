@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class ReconstructedVehicle:
     """One vehicle of an image that was looked at."""
 
     # position among the frame's labels of the box that counts and that it is of; None where it is of none
@@ -48,7 +48,7 @@ class Looked:
 
 
 @dataclass(frozen=True, eq=False)
-class LookedFrame:
+class ReconstructedFrame:
     """The labelled boxes of a frame that count and were looked at, for other methods."""
 
     drive: str  # name of the drive
@@ -56,20 +56,20 @@ class LookedFrame:
     image: NDArray[np.uint8]  # (H, W, 3) its pixels
     camera: Camera  # the camera, with the size of the image
     setup: Setup  # what the boxes were reconstructed with
-    looks: tuple[Looked, ...]  # what was found in each
+    vehicles: tuple[ReconstructedVehicle, ...]  # what was found in each
 
-    def truth(self, look: Looked) -> GroundTruth:
+    def truth(self, vehicle: ReconstructedVehicle) -> GroundTruth:
         """The labelled place and yaw of a box."""
         labels = self.frame.objects
-        return GroundTruth(labels.location[look.label], float(labels.rotation_y[look.label]))
+        return GroundTruth(labels.location[vehicle.label], float(labels.rotation_y[vehicle.label]))
 
     def keypoints(self) -> list[TrackFrame]:
         """The keypoints of each box with its truth."""
         name = f"{self.drive}:{self.frame.number}"
-        return [TrackFrame(name, look.found.detection.observation, self.truth(look)) for look in self.looks]
+        return [TrackFrame(name, vehicle.found.detection.observation, self.truth(vehicle)) for vehicle in self.vehicles]
 
 
-Rivals = Callable[[LookedFrame], Sequence[Mapping[str, BoxOutcome]]]
+Rivals = Callable[[ReconstructedFrame], Sequence[Mapping[str, BoxOutcome]]]
 """Scores other methods by name, on each labelled box of a frame."""
 
 
@@ -87,15 +87,15 @@ class ScoredFrame:
 
 def no_rivals() -> Rivals:
     """What scores no other method."""
-    return lambda looked: [{} for _ in looked.looks]
+    return lambda solved: [{} for _ in solved.vehicles]
 
 
-def looks_at(drive: Drive, setup: Setup) -> list[DriveFrame]:
+def frames_to_score(drive: Drive, setup: Setup) -> list[DriveFrame]:
     """The frames of a drive to look at: those with a box that counts, or all where vehicles are to be detected."""
     return [frame for frame in drive.frames if setup.vehicles is not None or len(wanted(frame)) > 0]
 
 
-def reconstruct_frame(frame: DriveFrame, setup: Setup) -> tuple[NDArray[np.uint8], list[Looked]]:
+def reconstruct_frame(frame: DriveFrame, setup: Setup) -> tuple[NDArray[np.uint8], list[ReconstructedVehicle]]:
     """The frame's image (H, W, 3), and what is found in it; labelled boxes come first, in the order of the labels.
 
     Raises:
@@ -116,7 +116,7 @@ def reconstruct_frame(frame: DriveFrame, setup: Setup) -> tuple[NDArray[np.uint8
         found = reconstruct_boxes(image, camera, list(boxes), setup, named)
     except InvalidInputError as error:
         raise InvalidInputError(f"{frame.image}: {error.field}", error.value, error.fix) from error
-    return image, [Looked(*one) for one in zip(known, scores.tolist(), found, strict=True)]
+    return image, [ReconstructedVehicle(*one) for one in zip(known, scores.tolist(), found, strict=True)]
 
 
 def _classes(
@@ -158,7 +158,7 @@ def score_frames(
     jobs: int = 1,
     advance: Callable[[str], None] = lambda _: None,
 ) -> list[ScoredFrame]:
-    """Look at every frame of `looks_at`, and score the boxes that count.
+    """Look at every frame of `frames_to_score`, and score the boxes that count.
 
     Args:
         drives: What to score.
@@ -171,7 +171,7 @@ def score_frames(
     Raises:
         InvalidInputError: An image or box cannot be used.
     """
-    tasks = [(drive.name, frame) for drive in drives for frame in looks_at(drive, setups[drive.name])]
+    tasks = [(drive.name, frame) for drive in drives for frame in frames_to_score(drive, setups[drive.name])]
     make = partial(_Worker, setups, rivals or no_rivals)
     scored: list[ScoredFrame] = []
     with ExitStack() as stack:
@@ -202,32 +202,32 @@ class _Worker:
 
 
 def _score_frame(drive: str, frame: DriveFrame, setup: Setup, rivals: Rivals) -> ScoredFrame:
-    image, looks = reconstruct_frame(frame, setup)
+    image, vehicles = reconstruct_frame(frame, setup)
     camera = frame.calibration.camera.with_size_of(image)
-    labelled = LookedFrame(drive, frame, image, camera, setup, tuple(o for o in looks if o.label is not None))
+    labelled = ReconstructedFrame(drive, frame, image, camera, setup, tuple(o for o in vehicles if o.label is not None))
     others = iter(rivals(labelled))
     boxes, sightings = [], []
-    for look in looks:
+    for vehicle in vehicles:
         track = None
-        if look.label is not None:
-            boxes.append(_scored(labelled, look, next(others)))
+        if vehicle.label is not None:
+            boxes.append(_scored(labelled, vehicle, next(others)))
             track = boxes[-1].track
-        seen = look.found.detection.evidence
-        assert seen.box is not None
-        sightings.append(Sighting(seen.box, look.score, track, seen))
+        observation = vehicle.found.detection.evidence
+        assert observation.box is not None
+        sightings.append(Sighting(observation.box, vehicle.score, track, observation))
     return ScoredFrame(drive, frame.number, boxes, tuple(sightings), len(wanted(frame)) - len(boxes))
 
 
-def _scored(looked: LookedFrame, look: Looked, others: Mapping[str, BoxOutcome]) -> VideoBox:
+def _scored(solved: ReconstructedFrame, vehicle: ReconstructedVehicle, others: Mapping[str, BoxOutcome]) -> VideoBox:
     """A labelled box with what was found, and with the outcomes of other methods."""
-    frame, index, one = looked.frame, look.label, look.found
+    frame, index, one = solved.frame, vehicle.label, vehicle.found
     assert index is not None
-    labels, offset, truth = frame.objects, frame.calibration.label_offset, looked.truth(look)
+    labels, offset, truth = frame.objects, frame.calibration.label_offset, solved.truth(vehicle)
     azimuth = labelled_azimuth(truth.rotation_y, truth.location + offset)
     directions = one.detection.azimuth
     length, width, height = labels.size[index].tolist()
     return VideoBox(
-        drive=looked.drive,
+        drive=solved.drive,
         frame=frame.number,
         index=index,
         track=int(frame.tracks[index]),

@@ -54,17 +54,15 @@ def demo_command(
     out.mkdir(parents=True, exist_ok=True)
     prior = load_prior("car14")
     scene = demo_scene(prior, seed)
-    seen, camera, image, truth = scene.observation, scene.camera, scene.picture.image, report.true_values(scene)
-    result = reconstruct(
-        seen.keypoints, camera, confidence=seen.confidence, box=seen.box, prior=prior, ground=scene.ground
-    )
+    observation, camera, image, truth = scene.observation, scene.camera, scene.picture.image, report.true_values(scene)
+    result = reconstruct(observation, camera, prior=prior, ground=scene.ground)
     stages = report.stages(result, prior.category, truth)
     document = json.dumps(report.document(seed, scene, truth, stages, result), allow_nan=False) + "\n"
 
     write_png(out / "image.png", image)
     write_text(out / "keypoints.json", json.dumps(report.keypoint_file(scene, prior.category), indent=1) + "\n")
     write_text(out / "result.json", document)
-    sight = SolvedVehicle(result, seen, camera, image, truth)
+    sight = SolvedVehicle(result, observation, camera, image, truth)
     save_picture(out / "picture.png", picture(sight))
     save_picture(out / "scene.jpg", report.street_picture(prior, seed), dpi=_DPI)
     recording = recording_of(sight, ground=scene.ground)

@@ -156,11 +156,9 @@ def solved_street(prior: ShapePrior, street: SampleStreet) -> list[DrawnVehicle]
     """The cars of a street, reconstructed, with the truth."""
     shown = []
     for number, car in enumerate(street.cars, start=1):
-        seen, vehicle = car.observation, car.truth.vehicle
+        observation, vehicle = car.observation, car.truth.vehicle
         truth = Truth(car.truth.camera_T_object, _size(vehicle.category, vehicle.keypoints), vehicle.keypoints)
-        result = reconstruct(
-            seen.keypoints, street.camera, confidence=seen.confidence, box=seen.box, prior=prior, ground=GROUND
-        )
+        result = reconstruct(observation, street.camera, prior=prior, ground=GROUND)
         shown.append(DrawnVehicle(number, car.truth.box, result, truth=truth))
     return shown
 
@@ -174,11 +172,11 @@ def keypoint_file(scene: DemoScene, category: Category) -> dict[str, Any]:
     }
 
 
-def observation_to_dict(seen: Observation, category: Category) -> dict[str, Any]:
+def observation_to_dict(observation: Observation, category: Category) -> dict[str, Any]:
     """Box and keypoints by name of one instance of a keypoint file."""
-    rows = np.column_stack([seen.keypoints, seen.confidence])
+    rows = np.column_stack([observation.keypoints, observation.confidence])
     return {
-        "box": None if seen.box is None else seen.box.tolist(),
+        "box": None if observation.box is None else observation.box.tolist(),
         "keypoints": {
             name: row.tolist() for name, row in zip(category.keypoints, rows, strict=True) if np.isfinite(row).all()
         },

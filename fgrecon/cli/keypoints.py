@@ -60,14 +60,14 @@ def detect_command(
 
 def _instance(name: str, detection: CascadeDetection) -> dict[str, Any]:
     """A vehicle as the keypoint file has it, with what `reconstruct` does not read beside it."""
-    seen = detection.observation
+    observation = detection.observation
     return {
         "id": name,
-        "keypoints": seen.keypoints.tolist(),
-        "confidence": seen.confidence.tolist(),
-        "confidence_midpoint": seen.confidence_midpoint,
-        "covariance": None if seen.covariance is None else seen.covariance.tolist(),
-        "box": None if seen.box is None else seen.box.tolist(),
+        "keypoints": observation.keypoints.tolist(),
+        "confidence": observation.confidence.tolist(),
+        "confidence_midpoint": observation.confidence_midpoint,
+        "covariance": None if observation.covariance is None else observation.covariance.tolist(),
+        "box": None if observation.box is None else observation.box.tolist(),
         "visible": detection.visible.tolist(),
         "azimuth": detection.azimuth.tolist(),
         "front_probability": detection.front_probability,
@@ -81,17 +81,19 @@ def _table(names: list[str], found: list[CascadeDetection], keypoints: tuple[str
     headings = ("id", "keypoint", "u", "v", "confidence", *(("sigma px", "visible") if verbose else ()))
     table = headed_table(*headings, left=2)
     for name, detection in zip(names, found, strict=True):
-        seen = detection.observation
-        covariance = np.full((len(keypoints), 2, 2), np.nan) if seen.covariance is None else seen.covariance
+        observation = detection.observation
+        covariance = (
+            np.full((len(keypoints), 2, 2), np.nan) if observation.covariance is None else observation.covariance
+        )
         sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0)
         for k, keypoint in enumerate(keypoints):
-            u, v = seen.keypoints[k]
-            if seen.confidence[k] < _NOTHING:  # where it is guessed to be says nothing
+            u, v = observation.keypoints[k]
+            if observation.confidence[k] < _NOTHING:  # where it is guessed to be says nothing
                 table.add_row(
                     name, keypoint, "", "", "hidden", *(("", f"{detection.visible[k]:.2f}") if verbose else ())
                 )
                 continue
-            cells = [f"{u:.1f}", f"{v:.1f}", f"{seen.confidence[k]:.2f}"]
+            cells = [f"{u:.1f}", f"{v:.1f}", f"{observation.confidence[k]:.2f}"]
             cells += [f"{sigma[k]:.1f}", f"{detection.visible[k]:.2f}"] if verbose else []
             table.add_row(name, keypoint, *cells)
     return table

@@ -57,8 +57,8 @@ def perform(job: VideoJob, viewer: Viewer, screen: Screen) -> tuple[VideoRun, bo
         def smoothing(run: VideoRun) -> None:
             advance("Smoothing", 0, None, counted(len(run.tracks), "car"))
 
-        seen = viewer.requested
-        run = track_video(job, screen.warn, go_on=go_on, smoothing=smoothing, window_graph=seen, estimated=seen)
+        viewed = viewer.requested
+        run = track_video(job, screen.warn, go_on=go_on, smoothing=smoothing, window_graph=viewed, estimated=viewed)
         if film_it is not None:
             film_it.end(whole=not run.stopped)
         return run, film_it is not None and film_it.finished
@@ -190,10 +190,10 @@ def details(run: VideoRun) -> list[str]:
 
 def document(job: VideoJob, run: VideoRun) -> str:
     """The JSON text about a run; the results are in its folder."""
-    seen: dict[int, list[int]] = {}
+    frames: dict[int, list[int]] = {}
     for head in run.frames.heads:
         for identity in head.identities:
-            seen.setdefault(identity, []).append(head.number)
+            frames.setdefault(identity, []).append(head.number)
     camera = {"camera": camera_to_dict(job.camera), "estimate_motion": job.moving}
     content = {
         "format": FORMAT,
@@ -209,7 +209,7 @@ def document(job: VideoJob, run: VideoRun) -> str:
         "gaps": run.gaps,
         "tracks": [
             {"id": identity, "frames": len(numbers), "first": numbers[0], "last": numbers[-1]}
-            for identity, numbers in sorted(seen.items())
+            for identity, numbers in sorted(frames.items())
         ],
     }
     return json.dumps(content, ensure_ascii=False, allow_nan=False, indent=1) + "\n"

@@ -156,13 +156,13 @@ def _frame(number: int, car: SeenCar, category: Category) -> dict[str, Any]:
     from fgrecon.core.reconstruction import rotation_y
     from fgrecon.simulation.sample import LABEL_OFFSET
 
-    seen, pose = car.observation, car.truth.camera_T_object
+    observation, pose = car.observation, car.truth.camera_T_object
     size = np.tensordot(category.dimension_operator, car.truth.vehicle.keypoints, axes=2)
     return {
         "frame": number,
-        "box_xyxy": None if seen.box is None else seen.box.tolist(),
-        "keypoints_uv": [uv.tolist() if np.isfinite(uv).all() else [None, None] for uv in seen.keypoints],
-        "confidence": seen.confidence.tolist(),
+        "box_xyxy": None if observation.box is None else observation.box.tolist(),
+        "keypoints_uv": [uv.tolist() if np.isfinite(uv).all() else [None, None] for uv in observation.keypoints],
+        "confidence": observation.confidence.tolist(),
         "gt": {
             "location": (pose[:3, 3] - LABEL_OFFSET).tolist(),
             "rotation_y": rotation_y(pose),

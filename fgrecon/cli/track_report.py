@@ -97,7 +97,7 @@ def solve(
     truths = None if labelled is None else [truth_of(labelled, index) for index in range(len(tasks))]
     measured = [task.observation.measured.any() for task in tasks]
     sight = TrackInputs(
-        observations=[task.observation if seen else None for task, seen in zip(tasks, measured, strict=True)],
+        observations=[task.observation if usable else None for task, usable in zip(tasks, measured, strict=True)],
         cameras=[task.camera for task in tasks],
         numbers=image_numbers(labels),
         images=None if images is None else [_image(images, number) for number in _numbers_of(labels)],

@@ -252,12 +252,12 @@ class Camera:
         import cv2  # on use: importing fgrecon must not import OpenCV
 
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-        seen = np.isfinite(pixels).all(axis=1)
-        if seen.any():
+        measured = np.isfinite(pixels).all(axis=1)
+        if measured.any():
             ideal: Any = cv2.undistortPoints(
-                pixels[seen][:, None], self.matrix, self.distortion, P=self.matrix, criteria=criteria
+                pixels[measured][:, None], self.matrix, self.distortion, P=self.matrix, criteria=criteria
             )
-            pixels[seen] = ideal[:, 0]
+            pixels[measured] = ideal[:, 0]
         return pixels
 
     def distort(self, pixels: ArrayLike) -> NDArray[np.float64]:

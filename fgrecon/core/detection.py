@@ -44,8 +44,9 @@ class Detection:
     @property
     def evidence(self) -> Observation:
         """What a solver takes: the observation, which knows directions as well."""
-        seen = self.observation
-        return seen if self.azimuth is None or self.azimuth is seen.azimuth else replace(seen, azimuth=self.azimuth)
+        if self.azimuth is None or self.azimuth is self.observation.azimuth:
+            return self.observation
+        return replace(self.observation, azimuth=self.azimuth)
 
     @property
     def front_probability(self) -> float | None:

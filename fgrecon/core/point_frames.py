@@ -52,15 +52,15 @@ def check_points(points: Array, camera: Camera, field: str = "points") -> None:
         InvalidInputError: None falls into the image, or they are in another unit; says the likely cause.
     """
     some = points[:: max(1, len(points) // _LOOKED_AT)]
-    seen = in_image(some, camera)
-    if not seen.any() and len(some) < len(points):
-        some, seen = points, in_image(points, camera)
-    likely, share = _likely_mistake(some, camera) if seen.mean() < _SHARE else ("", 0.0)
-    explained = share > _SHARE and share > _TIMES * seen.mean()
-    if explained or not seen.any():
-        count = "hardly any" if seen.any() else "none"
+    inside = in_image(some, camera)
+    if not inside.any() and len(some) < len(points):
+        some, inside = points, in_image(points, camera)
+    likely, share = _likely_mistake(some, camera) if inside.mean() < _SHARE else ("", 0.0)
+    explained = share > _SHARE and share > _TIMES * inside.mean()
+    if explained or not inside.any():
+        count = "hardly any" if inside.any() else "none"
         raise InvalidInputError(field, f"{len(points)} points, {count} of them in the image", _fix(some, likely))
-    median = float(np.median(some[seen, 2]))
+    median = float(np.median(some[inside, 2]))
     if median > _FARTHEST:
         unit = "millimetres" if median > 10.0 * _FARTHEST else "centimetres"
         fix = f"Give metres; these look like {unit}."

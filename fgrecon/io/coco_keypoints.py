@@ -185,8 +185,8 @@ def _annotation(vehicle: VehicleLabel, number: int, image: int, *, meshes: bool)
         "kind": vehicle.kind,
         "cuboid": {
             "corners": [
-                corner if seen else None
-                for corner, seen in zip(corners, np.all(np.isfinite(vehicle.corners), axis=1), strict=True)
+                corner if known else None
+                for corner, known in zip(corners, np.all(np.isfinite(vehicle.corners), axis=1), strict=True)
             ],
             "location": _short(vehicle.location),
             "rotation_y": _short(vehicle.rotation_y),

@@ -123,11 +123,11 @@ class Instance:
         Raises:
             InvalidInputError: A number cannot be used.
         """
-        seen = Observation.of(
+        observation = Observation.of(
             self.keypoints, self.confidence, self.box, self.covariance, self.confidence_midpoint, self.azimuth
         )
         said = () if self.vehicle_class is None else (self.vehicle_class,)
-        return replace(seen, image_size=self.image_size, evidence=said)
+        return replace(observation, image_size=self.image_size, evidence=said)
 
 
 @dataclass(frozen=True)

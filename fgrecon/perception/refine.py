@@ -131,9 +131,9 @@ def _where(
     return np.clip(where.reshape(-1, 4), 0.0, limits), own
 
 
-def _observed(seen: Observation, *, own: bool) -> Observation:
+def _observed(observation: Observation, *, own: bool) -> Observation:
     """What counts as evidence: not a 2D box that is the 3D box's projection, which would say the same twice."""
-    return seen if own else replace(seen, box=None)
+    return observation if own else replace(observation, box=None)
 
 
 def _projected(box: Box3D, camera: Camera) -> Array:

@@ -52,11 +52,11 @@ _LEAST_SIDE = 64  # OpenCV 5.0 enlarges a map of one column to garbage
 
 
 @dataclass(frozen=True)
-class Look:
+class NetworkPass:
     """One run of the network over the image."""
 
     area_px: int  # of the input. Images are not enlarged
-    min_side: float = 0.0  # boxes whose longer side is a smaller share of the image's are left to another look
+    min_side: float = 0.0  # boxes whose longer side is a smaller share of the image's are left to another pass
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class DetectionSettings:
     """How the network is used.
 
     Attributes:
-        looks: One for cars in a street, one for those that fill the image, which the first does not see as a whole.
+        passes: One for cars in a street, one for those that fill the image, which the first does not see as a whole.
         min_score: Boxes below this are left out.
         max_overlap: Of two boxes from which on they are one car, intersection over union.
         score_slope: Of the logistic regression from the class's number to the score, fitted on KITTI's 19 images.
@@ -72,7 +72,7 @@ class DetectionSettings:
         class_score: Boxes from this on say of which class a vehicle is: vans are no good cars. Not tuned.
     """
 
-    looks: tuple[Look, ...] = (Look(928 * 288), Look(256 * 80, 0.4))
+    passes: tuple[NetworkPass, ...] = (NetworkPass(928 * 288), NetworkPass(256 * 80, 0.4))
     min_score: float = 0.35
     max_overlap: float = 0.5
     score_slope: float = 3.4
@@ -197,7 +197,7 @@ class NanodetVehicleDetector:
             raise InvalidInputError("least_score", least_score, "Give a number above 0 and up to 1.")
         pixels = as_rgb8(image)
         height, width = pixels.shape[:2]
-        boxes, scores, numbers = self._looks(pixels, min(least, SETTINGS.class_score))
+        boxes, scores, numbers = self._passes(pixels, min(least, SETTINGS.class_score))
         likely = np.flatnonzero(scores >= least)
         kept = likely[suppress(boxes[likely], scores[likely], SETTINGS.max_overlap)]
         inside = np.clip(boxes[kept], 0.0, [width - 1.0, height - 1.0] * 2)
@@ -218,31 +218,31 @@ class NanodetVehicleDetector:
         Raises:
             InvalidInputError: The image is none.
         """
-        return _mean_numbers(boxes, *self._looks(as_rgb8(image), SETTINGS.class_score))
+        return _mean_numbers(boxes, *self._passes(as_rgb8(image), SETTINGS.class_score))
 
     def classes_of(self, image: NDArray[Any], boxes: Array) -> list[VehicleClass]:
         """Of which class the vehicles in boxes (N, 4) are, as `class_numbers`; where it sees none, of any class."""
         return [_ANY_CLASS if one is None else _class_of(one) for one in self.class_numbers(image, boxes)]
 
-    def _looks(self, pixels: NDArray[np.uint8], least_score: float) -> tuple[Array, Array, Array]:
-        """Boxes (M, 4), scores (M,) and numbers (M, 4) of all looks at an image, one vehicle in many boxes."""
-        looks = [self._look(pixels, look, least_score) for look in SETTINGS.looks]
-        boxes, scores, numbers = (np.concatenate(each) for each in zip(*looks, strict=True))
+    def _passes(self, pixels: NDArray[np.uint8], least_score: float) -> tuple[Array, Array, Array]:
+        """Boxes (M, 4), scores (M,) and numbers (M, 4) of all passes over an image, one vehicle in many boxes."""
+        passes = [self._detect(pixels, one, least_score) for one in SETTINGS.passes]
+        boxes, scores, numbers = (np.concatenate(each) for each in zip(*passes, strict=True))
         return boxes, scores, numbers
 
-    def _look(self, pixels: NDArray[np.uint8], look: Look, least_score: float) -> tuple[Array, Array, Array]:
+    def _detect(self, pixels: NDArray[np.uint8], one: NetworkPass, least_score: float) -> tuple[Array, Array, Array]:
         """Boxes (M, 4) in pixels of the image, scores (M,), numbers (M, 4), from the image scaled about to the area."""
         import cv2
 
         height, width = pixels.shape[:2]
-        scale = np.sqrt(min(look.area_px, width * height) / (width * height))
+        scale = np.sqrt(min(one.area_px, width * height) / (width * height))
         size = tuple(max(_LEAST_SIDE, _MULTIPLE * round(side * scale / _MULTIPLE)) for side in (width, height))
         scaled = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR)
         maps = self._network(cv2.dnn.blobFromImage(scaled, 1.0 / 255.0, mean=MEAN))
         boxes, scores, numbers = decode(maps, size[0], least_score)
         boxes = boxes * np.tile([width / size[0], height / size[1]], 2) - 0.5  # pixel centres are at integers
         inside = np.clip(boxes, 0.0, [width, height] * 2)
-        large = (inside[:, 2:] - inside[:, :2]).max(axis=1) >= look.min_side * max(width, height)
+        large = (inside[:, 2:] - inside[:, :2]).max(axis=1) >= one.min_side * max(width, height)
         return boxes[large], scores[large], numbers[large]
 
 

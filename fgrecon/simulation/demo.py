@@ -96,7 +96,7 @@ def demo_scene(prior: ShapePrior, seed: int = 0, noise: NoiseModel = HOURGLASS) 
 def _before_nearest_wheel(vehicle: Vehicle, camera_T_object: NDArray[np.float64]) -> NDArray[np.float64]:
     """Pose (4, 4) on the ground between the camera and the nearest ground keypoint, broadside to the camera."""
     ground = vehicle.keypoints[list(vehicle.category.ground_keypoints)] * np.array([1.0, 0.0, 1.0])
-    seen = transform(camera_T_object, ground)
-    wheel = seen[seen[:, 2].argmin()]
+    wheels = transform(camera_T_object, ground)
+    wheel = wheels[wheels[:, 2].argmin()]
     away = np.array([wheel[0], 0.0, wheel[2]]) / np.hypot(wheel[0], wheel[2])
     return yaw_pose(float(np.arctan2(away[0], away[2])), wheel - _PLANTER_GAP * away)

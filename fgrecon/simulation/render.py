@@ -125,8 +125,8 @@ def render(bodies: Sequence[Body], camera: Camera, background: Array, supersampl
     picture = Picture(
         to_rgb(background), np.full((height, width), np.inf), np.full((height, width), -1, dtype=np.int16)
     )
-    seen = [transform(b.camera_T_object, b.vertices) for b in bodies]
-    vertices = np.concatenate(seen)
+    in_camera = [transform(b.camera_T_object, b.vertices) for b in bodies]
+    vertices = np.concatenate(in_camera)
     first_vertex = np.cumsum([0] + [len(b.vertices) for b in bodies])
     faces = np.concatenate([b.faces + start for b, start in zip(bodies, first_vertex, strict=False)])
     window = _window(camera.project(vertices[vertices[:, 2] > _NEAREST]), width, height)

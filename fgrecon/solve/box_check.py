@@ -37,8 +37,8 @@ def box_excess(problem: Problem, camera_T_object: Array, coefficients: Array, ca
     points = transform(camera_T_object, problem.model.box_points(problem.options.box.model).at(coefficients))
     if not points[:, 2].min() > MIN_DEPTH:
         return float("nan")
-    seen = points @ camera.matrix.T
-    sides: Array = np.ptp(seen[:, :2] / seen[:, 2:], axis=0)
+    projected = points @ camera.matrix.T
+    sides: Array = np.ptp(projected[:, :2] / projected[:, 2:], axis=0)
     return float(np.mean((box.rows.edges[2:] - box.rows.edges[:2]) / sides) - 1.0)
 
 

@@ -21,21 +21,23 @@ from fgrecon.solve.proposals.point_term import POINTS, POINTS_NAME
 Array = NDArray[np.float64]
 
 
-def without_claimed(seen: Mapping[int, Observation], ends: Mapping[int, MultiStartResult]) -> dict[int, Observation]:
+def without_claimed(
+    observations: Mapping[int, Observation], ends: Mapping[int, MultiStartResult]
+) -> dict[int, Observation]:
     """The observations of vehicles in others' places, without the points of these.
 
     Args:
-        seen: The observations of an image's vehicles, by number.
+        observations: The observations of an image's vehicles, by number.
         ends: Where each ended by itself; of some.
     """
-    scanned = [n for n in ends if any(isinstance(one, Points) for one in seen[n].evidence)]
+    scanned = [n for n in ends if any(isinstance(one, Points) for one in observations[n].evidence)]
     found: dict[int, Observation] = {}
     for one, other in permutations(scanned, 2):
         points, weights = ends[one].graph.points_of(0)
         own = points[weights >= POINTS.used_weight]
         if len(own) and inside(own, ends[other]).mean() >= POINTS.claimed_share:
             owner, guest = sorted((one, other), key=lambda number: _picture_energy(ends[number]))
-            found[guest] = _without(found.get(guest, seen[guest]), ends[owner])
+            found[guest] = _without(found.get(guest, observations[guest]), ends[owner])
     return found
 
 

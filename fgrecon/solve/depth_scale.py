@@ -62,12 +62,12 @@ def with_scales(observations: Sequence[Observation], camera: Camera, setup: Solv
     ]
 
 
-def _pictured(seen: Observation, camera: Camera, setup: SolveSetup) -> tuple[Problem, PoseEstimate] | None:
+def _pictured(observation: Observation, camera: Camera, setup: SolveSetup) -> tuple[Problem, PoseEstimate] | None:
     """Where a vehicle is by all but depth maps of unknown scale; None where that says nothing."""
-    others = tuple(e for e in seen.evidence if not (isinstance(e, DepthMap) and e.known is None))
+    others = tuple(e for e in observation.evidence if not (isinstance(e, DepthMap) and e.known is None))
     try:
-        model = setup.model_of([seen])
-        problem = Problem.of(replace(seen, evidence=others), camera, model, setup.ground, setup.options)
+        model = setup.model_of([observation])
+        problem = Problem.of(replace(observation, evidence=others), camera, model, setup.ground, setup.options)
         return problem, search_pose(problem)
     except FgreconError:  # its own solve says so
         return None

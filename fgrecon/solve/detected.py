@@ -34,32 +34,36 @@ class KnownBox:
     errors: BoxErrors  # how far it is off
     unsized: VehicleModel  # the prior prepared without a size, for that of the box
 
-    def problem(self, seen: Observation, camera: Camera, setup: SolveSetup) -> Problem:
+    def problem(self, observation: Observation, camera: Camera, setup: SolveSetup) -> Problem:
         """The vehicle as a problem to be solved.
 
         Args:
-            seen: What is observed.
+            observation: What is observed.
             setup: What holds for all vehicles; its sizes are for a box without one.
 
         Raises:
             DegenerateProblemError: The keypoints determine no pose, or the box has no vehicle's size.
         """
-        options, covariance = setup.options, seen.covariance
+        options, covariance = setup.options, observation.covariance
         if covariance is None:
-            covariance = np.array(keypoint_covariances(seen, options.keypoints))
+            covariance = np.array(keypoint_covariances(observation, options.keypoints))
         size = self.box.size
         if size is not None and not (size.min() >= SHORTEST and size.max() <= LONGEST):
             raise DegenerateProblemError("box3d.size", size.tolist(), f"Give metres: {SIZES}.")
         own = (
-            setup.model_of([seen])
+            setup.model_of([observation])
             if size is None
             else sized(self.unsized, SizePrior("its box", size, self.errors.size * size))
         )
         counted = replace(options, keypoints=replace(options.keypoints, common_factor=1.0))  # it is in the solve
         problem = Problem.of(
-            replace(seen, covariance=SCENE.box_keypoint_inflation * covariance), camera, own, setup.ground, counted
+            replace(observation, covariance=SCENE.box_keypoint_inflation * covariance),
+            camera,
+            own,
+            setup.ground,
+            counted,
         )
-        return replace(problem, assumed=seen.covariance is None)
+        return replace(problem, assumed=observation.covariance is None)
 
     def factors(self, camera: Camera, vehicle: int = 0) -> list[gtsam.NonlinearFactor]:
         """The factors of the box on the pose of a vehicle in image 0; its size is in the vehicle's model."""

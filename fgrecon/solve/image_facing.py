@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 
 def couple_facings(
-    seen: Sequence[Observation], camera: Camera, prior: ShapePrior, options: Options
+    observations: Sequence[Observation], camera: Camera, prior: ShapePrior, options: Options
 ) -> list[Observation]:
     """The observations of an image with directions that know of one another and of the traffic.
 
@@ -47,12 +47,12 @@ def couple_facings(
     directions.
 
     Args:
-        seen: Without lens distortion.
+        observations: Without lens distortion.
         camera: The camera that took the image.
         prior: Its height says about how far away a vehicle is.
         options: Which side the traffic keeps to.
     """
-    coupled = list(seen)
+    coupled = list(observations)
     if len(coupled) < 2 and options.traffic is None:
         return coupled
     found = {i: side for i, one in enumerate(coupled) if (side := _Side.of(one, camera, prior)) is not None}
@@ -140,14 +140,16 @@ def estimate_pose_facing(
     Returns:
         The problem and its pose; None without directions, or where no pose is found.
     """
-    seen = problem.observation
-    if seen.azimuth is None:
+    observation = problem.observation
+    if observation.azimuth is None:
         return None
     towards = float(view_azimuth(yaw_rotation(heading), place))
-    ahead = half_around(towards, len(seen.azimuth)) * (seen.azimuth + flipped_directions(seen.azimuth))
-    other = replace(seen, azimuth=_either_way(ahead / ahead.sum(), right))
+    ahead = half_around(towards, len(observation.azimuth)) * (
+        observation.azimuth + flipped_directions(observation.azimuth)
+    )
+    other = replace(observation, azimuth=_either_way(ahead / ahead.sum(), right))
     try:
-        return estimate_pose(problem.showing(other), seen)
+        return estimate_pose(problem.showing(other), observation)
     except DegenerateProblemError:
         return None
 
@@ -167,16 +169,16 @@ class _Side:
     heading: float  # `rotation_y` by that half
 
     @classmethod
-    def of(cls, seen: Observation, camera: Camera, prior: ShapePrior) -> _Side | None:
+    def of(cls, observation: Observation, camera: Camera, prior: ShapePrior) -> _Side | None:
         """Of an observation; None where it has no directions, or nothing is measured."""
-        place = _place(seen, camera, prior)
-        if seen.azimuth is None or place is None:
+        place = _place(observation, camera, prior)
+        if observation.azimuth is None or place is None:
             return None
-        bins = len(seen.azimuth)
+        bins = len(observation.azimuth)
         azimuths = 2.0 * np.pi * np.arange(bins) / bins
-        near = half_around(azimuths[int(seen.azimuth.argmax())], bins)
-        probability = float(near @ seen.azimuth)
-        ahead = near * seen.azimuth / probability
+        near = half_around(azimuths[int(observation.azimuth.argmax())], bins)
+        probability = float(near @ observation.azimuth)
+        ahead = near * observation.azimuth / probability
         azimuth = float(np.angle(ahead @ np.exp(1j * azimuths)))
         # The direction changes with the heading one to one: one heading and its direction tell all others.
         first, second = view_azimuth(yaw_rotation(np.array([0.0, 0.1])), np.broadcast_to(place, (2, 3)))
@@ -195,12 +197,14 @@ class _Side:
         return float(np.log(self.ahead @ directions) - np.log(flipped_directions(self.ahead) @ directions))
 
 
-def _place(seen: Observation, camera: Camera, prior: ShapePrior) -> Array | None:
+def _place(observation: Observation, camera: Camera, prior: ShapePrior) -> Array | None:
     """(3,) about where the vehicle is, metres, by its height in the image; None where nothing is measured."""
-    points = seen.keypoints[seen.measured]
-    if seen.box is None and len(points) < 2:
+    points = observation.keypoints[observation.measured]
+    if observation.box is None and len(points) < 2:
         return None
-    corners = np.array([points.min(axis=0), points.max(axis=0)]) if seen.box is None else seen.box.reshape(2, 2)
+    corners = (
+        np.array([points.min(axis=0), points.max(axis=0)]) if observation.box is None else observation.box.reshape(2, 2)
+    )
     _, _, height = np.tensordot(prior.category.dimension_operator, prior.mean, axes=2)
     depth = float(height) * float(camera.matrix[1, 1]) / max(float(corners[1, 1] - corners[0, 1]), 1.0)
     return depth * camera.rays(corners.mean(axis=0)[None])[0]

@@ -111,24 +111,24 @@ def solve_independently(
     """
     solved: dict[int, IndependentVehicle] = {}
     refused: dict[int, FgreconError] = {}
-    seen: dict[int, Observation] = {}
+    usable: dict[int, Observation] = {}
     warnings: dict[int, InputWarning | None] = {}
     for number, given in enumerate(observations):
         try:
-            seen[number], warnings[number] = observe(
+            usable[number], warnings[number] = observe(
                 given, camera, setup.prior.category, setup.options, evidence=setup.evidence
             )
         except FgreconError as error:
             refused[number] = error
     coupled: dict[int, Observation] = {}
     for image in dict.fromkeys(image_of or [0]):
-        own = {number: one for number, one in seen.items() if image_of is None or image_of[number] == image}
+        own = {number: one for number, one in usable.items() if image_of is None or image_of[number] == image}
         own = dict(zip(own, with_scales([*own.values()], camera, setup), strict=True))
         own = dict(zip(own, with_fitted_classes([*own.values()], camera, setup, setup.ground), strict=True))
-        seen |= own
+        usable |= own
         facings = couple_facings([*own.values()], camera, setup.model.prior, setup.options)
         coupled |= zip(own, facings, strict=True)
-    for number, observation in seen.items():
+    for number, observation in usable.items():
         box = None if boxes is None else boxes[number]
         try:
             if box is not None:  # which says itself which way it faces
@@ -139,7 +139,7 @@ def solve_independently(
             refused[number] = error
     for image in dict.fromkeys(image_of or [0]):
         ends = {n: one.adjusted for n, one in solved.items() if image_of is None or image_of[n] == image}
-        for number, observation in without_claimed(seen, ends).items():
+        for number, observation in without_claimed(usable, ends).items():
             with suppress(FgreconError):  # it stays where it was
                 anew = replace(coupled[number], evidence=observation.evidence)
                 solved[number] = _alone(anew, observation, camera, setup, steady)

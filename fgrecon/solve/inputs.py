@@ -110,7 +110,7 @@ class SolveSetup:
         Raises:
             InvalidInputError: A class is none of its scheme.
         """
-        said = [one for seen in observations for one in seen.evidence if isinstance(one, VehicleClass)]
+        said = [one for observation in observations for one in observation.evidence if isinstance(one, VehicleClass)]
         if not said:
             return None
         sizes = shipped_class_sizes()
@@ -125,7 +125,7 @@ class SolveSetup:
 
 def has_points(observations: Iterable[Observation]) -> bool:
     """Whether measured points say how far a vehicle is."""
-    return any(isinstance(one, Points) for seen in observations for one in seen.evidence)
+    return any(isinstance(one, Points) for observation in observations for one in observation.evidence)
 
 
 @lru_cache(maxsize=128)  # one object for one class, so that what is prepared for it is found again

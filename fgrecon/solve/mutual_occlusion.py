@@ -28,7 +28,7 @@ def with_occlusion(results: Sequence[Reconstruction]) -> tuple[Reconstruction, .
         return tuple(results)
     points = [transform(one.camera_T_object, one.wireframe) for one in results]
     pixels = [_projected(one) for one in points]
-    seen = [one.diagnostics.visibility for one in results]
+    visibilities = [one.diagnostics.visibility for one in results]
     for there, other in enumerate(results):
         front = _placed(other)
         if front is None or other.shape.surface_faces is None:
@@ -46,11 +46,11 @@ def with_occlusion(results: Sequence[Reconstruction]) -> tuple[Reconstruction, .
         left = probability(clearance(vertices, other.shape.surface_faces, rays, np.zeros(3))) / _UNHIDDEN
         ends = np.cumsum([len(inside) for inside in covered.values()])[:-1]
         for (here, inside), share in zip(covered.items(), np.split(left, ends), strict=True):
-            seen[here] = seen[here].copy()
-            seen[here][inside] *= share
+            visibilities[here] = visibilities[here].copy()
+            visibilities[here][inside] *= share
     return tuple(
         one if now is one.diagnostics.visibility else replace(one, diagnostics=replace(one.diagnostics, visibility=now))
-        for one, now in zip(results, seen, strict=True)
+        for one, now in zip(results, visibilities, strict=True)
     )
 
 

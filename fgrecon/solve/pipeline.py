@@ -103,10 +103,10 @@ def reconstruct(
         (observation,) = with_scales([observation], camera, setup)
     problem, pose = single_pose(observation, camera, model, setup, start)
     posed = perf_counter()
-    seen = [GraphObservation(problem)]
-    adjusted = minimise_from_proposals(seen, [pose], factors)
+    parts = [GraphObservation(problem)]
+    adjusted = minimise_from_proposals(parts, [pose], factors)
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (perf_counter() - posed) * 1e3}
-    result = with_mirrored_gain(results(seen, [pose], adjusted, milliseconds, factors)[0], problem)
+    result = with_mirrored_gain(results(parts, [pose], adjusted, milliseconds, factors)[0], problem)
     if observed.warning is None:
         warnings = InputWarnings()
         warnings.add_result("the vehicle", observed.observation, result)

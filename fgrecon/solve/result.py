@@ -93,7 +93,7 @@ def _common(part: ObservationPart, weights: Weights) -> Weights:
 
 
 def results(
-    seen: Sequence[GraphObservation],
+    parts: Sequence[GraphObservation],
     starts: Sequence[PoseEstimate],
     adjusted: MultiStartResult,
     milliseconds: dict[str, float],
@@ -114,12 +114,12 @@ def results(
         marginalised: What `marginalise` says of the graph, where that is known already.
     """
     graph, optimum = adjusted.graph, adjusted.optimum
-    options = seen[0].problem.options
+    options = parts[0].problem.options
     if not options.shape.joint:  # covariances count pose and shape together, whichever came last
-        graph = Graph(seen, optimum.state, pose_free=True, extra=extra)
+        graph = Graph(parts, optimum.state, pose_free=True, extra=extra)
     weights = optimum.state.weights
     known = marginalise(graph, optimum) if marginalised is None else marginalised
-    single, failed = len(seen) == 1, optimum.failure is not None
+    single, failed = len(parts) == 1, optimum.failure is not None
     structure: Sequence[GraphFactor] = ()
     if options.keep_history and single and not failed:
         structure = Deferred(lambda: graph_factors(graph, weights))

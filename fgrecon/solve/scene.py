@@ -177,7 +177,7 @@ class _JointSolve:
     """Vehicles that were solved together, from where they were independently."""
 
     independent: IndependentSolve
-    seen: list[GraphObservation]
+    parts: list[GraphObservation]
     graph: Graph
     optimum: Optimum
     extra: list[gtsam.NonlinearFactor]
@@ -289,7 +289,7 @@ def _solved(begun: Sequence[IndependentSolve], images: _Images) -> _Estimate | N
         if scene.determined:
             return scene
         left_open = undetermined(best.graph, best.optimum.values, best.optimum.state.weights)
-        if not left_open or len(left_open) == len(best.seen):
+        if not left_open or len(left_open) == len(best.parts):
             return scene
         out |= left_open
 
@@ -313,11 +313,11 @@ def _solve_jointly(independent: IndependentSolve, images: _Images, out: Collecti
     if models and models[0].prior.dimension:
         others.insert(S(), np.zeros(3))
         priors.append(fleet_prior(models[0]))
-    seen: list[GraphObservation] = []
+    parts: list[GraphObservation] = []
     for number, one in solved.items():
         priors += one.box_factors(number)
         problem = one.problem.on(None) if images.image_of[number] in standing else one.problem
-        seen.append(GraphObservation(problem, vehicle=number))
+        parts.append(GraphObservation(problem, vehicle=number))
     states = [one.adjusted.optimum.state for one in solved.values()]
     state = State(
         poses=[state.poses[0] for state in states],
@@ -328,9 +328,9 @@ def _solve_jointly(independent: IndependentSolve, images: _Images, out: Collecti
     left_out = {X(n, 0) for n in images.numbers - solved.keys()} | {L(n) for n in images.numbers - solved.keys()}
     own = [factor for factor in images.extra if left_out.isdisjoint(factor.keys())]
     extra = [*(contact for one in standing.values() for contact in one.contacts.values()), *priors, *own]
-    graph = Graph(seen, state, pose_free=True, extra=extra)
+    graph = Graph(parts, state, pose_free=True, extra=extra)
     optimum = optimise(graph, state, steady=SCENE.joint_visibility_step)
-    return None if optimum.failure is not None else _JointSolve(independent, seen, graph, optimum, extra, standing)
+    return None if optimum.failure is not None else _JointSolve(independent, parts, graph, optimum, extra, standing)
 
 
 def _standing(solved: dict[int, IndependentVehicle], images: _Images) -> dict[int, ImageGround]:
@@ -376,7 +376,7 @@ def _estimate(best: _JointSolve, joint: Sequence[_JointSolve], known: Camera) ->
 def _vehicles(best: _JointSolve, marginalised: Marginalised) -> dict[int, Reconstruction]:
     """The result of each vehicle of a joint solve, by number."""
     optimum, values = best.optimum, best.optimum.values
-    solved = {one.vehicle: best.independent.vehicles[one.vehicle] for one in best.seen}
+    solved = {one.vehicle: best.independent.vehicles[one.vehicle] for one in best.parts}
     poses = [pose.matrix() for pose in optimum.state.poses]
     alternatives = tuple(one.alternatives(pose) for one, pose in zip(solved.values(), poses, strict=True))
     adjusted = MultiStartResult(optimum, (SolvedStage("scene", best.graph, optimum.steps),), alternatives)
@@ -384,7 +384,7 @@ def _vehicles(best: _JointSolve, marginalised: Marginalised) -> dict[int, Recons
     if best.graph.options.keep_history:  # what led to each vehicle's pose independently; the scene's steps follow
         begun = [replace(one.start, history=pose_history(one.start, one.adjusted)) for one in solved.values()]
     facing = [one.facing(pose) for one, pose in zip(solved.values(), poses, strict=True)]
-    found = results(best.seen, begun, adjusted, {}, best.extra, facing=facing, marginalised=marginalised)
+    found = results(best.parts, begun, adjusted, {}, best.extra, facing=facing, marginalised=marginalised)
     each = dict(zip(solved, found, strict=True))
     for one_ground in best.standing.values():
         for number, contact in one_ground.contacts.items():

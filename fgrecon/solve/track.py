@@ -99,13 +99,13 @@ def reconstruct_track(
 
     started = perf_counter()
     warnings = InputWarnings()
-    seen, starts, refused = _posed(observations, each, setup, warnings)
+    parts, starts, refused = _posed(observations, each, setup, warnings)
     posed = perf_counter()
-    adjusted = minimise_from_proposals(seen, starts, factors, in_order=in_order)
+    adjusted = minimise_from_proposals(parts, starts, factors, in_order=in_order)
     milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
-    frames = results(seen, starts, adjusted, {}, factors)
-    frames = [with_mirrored_gain(one, part.problem) for part, one in zip(seen, frames, strict=True)]
-    for part, one in zip(seen, frames, strict=True):
+    frames = results(parts, starts, adjusted, {}, factors)
+    frames = [with_mirrored_gain(one, part.problem) for part, one in zip(parts, frames, strict=True)]
+    for part, one in zip(parts, frames, strict=True):
         warnings.add_result(f"image {part.image}", part.problem.observation, one)
     warn_of(warnings, stacklevel=3)
     status, message = _status(frames, refused)
@@ -114,7 +114,7 @@ def reconstruct_track(
     return TrackReconstruction(
         status=status,
         message=message,
-        numbers=tuple(one.image for one in seen),
+        numbers=tuple(one.image for one in parts),
         frames=tuple(frames),
         refused=refused,
         energies=optimum.energies,
@@ -141,7 +141,7 @@ def _posed(
 ) -> tuple[list[GraphObservation], list[PoseEstimate], dict[int, str]]:
     """The images that have a pose, their proposals, and why others have none; `warnings` gets what is wrong."""
     looked: dict[int, tuple[Observation, Camera, SolveSetup]] = {}
-    seen: list[GraphObservation] = []
+    parts: list[GraphObservation] = []
     starts: list[PoseEstimate] = []
     refused: dict[int, str] = {}
     bad: InvalidInputError | None = None
@@ -169,13 +169,13 @@ def _posed(
             bad = error if bad is None and isinstance(error, InvalidInputError) else bad
             refused[number] = str(error)
             continue
-        seen.append(GraphObservation(problem, image=number))
+        parts.append(GraphObservation(problem, image=number))
         starts.append(start)
-    if not seen and bad is not None:
+    if not parts and bad is not None:
         raise bad
-    if not seen:
+    if not parts:
         raise DegenerateProblemError("observations", "no pose in any image", "Give more, or better spread, keypoints.")
-    return seen, starts, refused
+    return parts, starts, refused
 
 
 def _model(looked: Sequence[tuple[Observation, Camera, SolveSetup]], setup: SolveSetup) -> VehicleModel:

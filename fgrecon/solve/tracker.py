@@ -197,10 +197,10 @@ class Tracker:
         estimated: bool,
     ) -> dict[int, VehicleEstimate]:
         """The estimates of a frame's vehicles; whatever is raised, the tracker is what it was."""
-        seen, refused = self._observe(observations, frame, evidence)
+        usable, refused = self._observe(observations, frame, evidence)
 
         def look(ground: Ground | None) -> FrameVehicles:
-            return look_at_vehicles(seen, frame, ground, self._tracks, self._setup, self._model)
+            return look_at_vehicles(usable, frame, ground, self._tracks, self._setup, self._model)
 
         road, known, ground = self._road, None, frame.ground
         if road is None:
@@ -339,7 +339,7 @@ class Tracker:
     def _estimate(self, name: int, track: VehicleTrack) -> VehicleEstimate:
         """Of the last frame."""
         vehicle = track.vehicle
-        last = len(vehicle.solved.seen) - 1
+        last = len(vehicle.solved.parts) - 1
         return _estimates(name, {last: (vehicle.past[-1], track.contexts[-1])}, vehicle.solved, last + 1)[0]
 
     def _smoothed(self, name: int, track: VehicleTrack, frames: Sequence[Frame]) -> list[VehicleEstimate]:
@@ -362,18 +362,18 @@ def _estimates(
     name: int, frames: Mapping[int, tuple[Frame, FrameContext]], solved: WindowSolve, total: int
 ) -> list[VehicleEstimate]:
     """Of some frames that were solved together, by their places there."""
-    single = len(solved.seen) == 1
+    single = len(solved.parts) == 1
     selected = [frame for frame, _ in frames.values()]
     facings = [frame.belief.facing(rotation_y(frame.pose.matrix())) for frame in selected]
     adjusted, known, said = solved.adjusted, None, None
     spreads: Sequence[Array | None] = [None] * len(selected)
     if not single:
         each = dict(zip(frames, facings, strict=True))
-        said = [each.get(index) for index in range(len(solved.seen))]
+        said = [each.get(index) for index in range(len(solved.parts))]
         known = marginalise(adjusted.graph, adjusted.optimum, at_once=frames)
         spreads = velocity_covariances(solved, selected)
     reconstructions = results(
-        solved.seen, solved.starts, adjusted, {}, solved.extra, only=frames, facing=said, marginalised=known
+        solved.parts, solved.starts, adjusted, {}, solved.extra, only=frames, facing=said, marginalised=known
     )
     if not single:
         pairs = zip(selected, reconstructions, strict=True)

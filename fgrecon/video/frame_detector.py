@@ -90,8 +90,8 @@ class FrameDetector:
             detections = find_keypoints(self._keypoints, image, boxes, self.category)
             for place, box, detection in zip(bare, boxes, detections, strict=True):
                 known = class_by(self._classes, sightings[place].vehicle_class, detection.kinds)
-                seen = replace(detection.evidence, box=box)
-                sightings[place] = replace(sightings[place], box=box, observation=seen, vehicle_class=known)
+                observation = replace(detection.evidence, box=box)
+                sightings[place] = replace(sightings[place], box=box, observation=observation, vehicle_class=known)
         return FrameRecord(frame.number, frame.time, frame.name, None, tuple(sightings))
 
 

@@ -334,13 +334,13 @@ def _in_order(images: Iterable[str]) -> tuple[dict[str, int | None], _Times | No
 
 
 def _fitted(sighting: Sighting, size: tuple[int, int] | None, *, scale: bool) -> Sighting:
-    seen = sighting.observation
-    if seen is None or size is None:
+    observation = sighting.observation
+    if observation is None or size is None:
         return sighting
-    ratio = np.array(scale_between(seen.image_size, size, "tracks: image_size", scale=scale))
+    ratio = np.array(scale_between(observation.image_size, size, "tracks: image_size", scale=scale))
     if (ratio == 1.0).all():
         return sighting
-    return replace(sighting, box=sighting.box * np.tile(ratio, 2), observation=seen.scaled(ratio, size))
+    return replace(sighting, box=sighting.box * np.tile(ratio, 2), observation=observation.scaled(ratio, size))
 
 
 def _sighting(instance: Instance, path: Path) -> Sighting:

@@ -133,7 +133,7 @@ class VideoRun:
 
 def run_video(
     source: FrameSource,
-    look: FrameDetector,
+    frame_detector: FrameDetector,
     follower: Follower,
     out: Path,
     *,
@@ -147,7 +147,7 @@ def run_video(
 
     Args:
         source: The frames.
-        look: What looks at them.
+        frame_detector: What looks at them.
         follower: What follows the vehicles; a new one.
         out: Folder of the run; records go to a folder in it.
         settings: What the records depend on, as plain values; a folder is for one such.
@@ -170,22 +170,22 @@ def run_video(
         DamagedFileWarning: Stored records are damaged; their frames, and those after them, are looked at again.
     """
     refuse_batch(out)
-    given = (follower.poses, None if look.given is None else look.given.keys())
+    given = (follower.poses, None if frame_detector.given is None else frame_detector.given.keys())
     if any(given):
         check_coverage(planned_frames(source) or (), *given)
     begin(out / RECORDS, settings, FORMAT)
     run = VideoRun(source.count, frames=FrameStore(folder=out))
     with claimed(out / RECORDS), short_turns(ahead), rare_collections():
-        looked = _Records(source, out, look, motion, settings, ahead)
-        run.before = len(looked.stored)
+        records = _Records(source, out, frame_detector, motion, settings, ahead)
+        run.before = len(records.stored)
         try:
-            for record, frame in looked.records():
+            for record, frame in records.records():
                 run.frames.append(follower(record))
                 if not go_on(run, frame):
-                    run.stopped = len(run.frames) < run.before or looked.more_after(record.number)
+                    run.stopped = len(run.frames) < run.before or records.more_after(record.number)
                     break
         finally:
-            looked.close()
+            records.close()
     if not run.stopped:
         frames = [(head.number, head.time) for head in run.frames.heads]
         check_coverage(frames, *given)
@@ -198,12 +198,12 @@ def run_video(
 
 
 @dataclass(frozen=True)
-class _Looked:
+class _RecordedFrame:
     """A frame on its way through the stages."""
 
     frame: SourceFrame
     record: FrameRecord | None  # what it shows; None of a frame that is read for the motion of the next one alone
-    seen: bool = False  # whether the record is new
+    is_new: bool = False  # whether the record is new
     moved: bool = False  # whether its motion is
 
 
@@ -222,14 +222,14 @@ class _Records:
         self,
         source: FrameSource,
         out: Path,
-        look: FrameDetector,
+        frame_detector: FrameDetector,
         motion: MotionEstimator | None,
         settings: Mapping[str, Any],
         ahead: int,
     ) -> None:
-        self._source, self._look, self._motion, self._most = source, look, motion, ahead
+        self._source, self._frame_detector, self._motion, self._most = source, frame_detector, motion, ahead
         self._reading: Iterator[SourceFrame] | None = None
-        self._stages: Generator[_Looked] | None = None
+        self._stages: Generator[_RecordedFrame] | None = None
         self._last_read = -1
         self._records = Parts(out / RECORDS, record_schema())
         self.stored = [from_row(row) for row in self._records.rows_in_order()]
@@ -271,13 +271,13 @@ class _Records:
         self._reading = self._source.read(last if moving is None or before is None else before.number - 1)
         frames = made_ahead(self._noted(self._reading), self._most, "frames")
         boxed = made_ahead(self._boxed(frames, last, len(whole)), self._most, "boxes")
-        looked = made_ahead(self._looked(boxed), self._most, "keypoints")
-        moved = looked if moving is None else self._moved_to(looked, moving, before)
+        recorded = made_ahead(self._recorded(boxed), self._most, "keypoints")
+        moved = recorded if moving is None else self._moved_to(recorded, moving, before)
         self._stages = made_ahead(moved, 0 if moving is None else self._most, "motion")
         for one in self._stages:
             if one.record is None:
                 continue
-            if one.seen:
+            if one.is_new:
                 self._records.add(to_table(one.record))
             if one.moved:
                 self._motions.add(motion_to_table(one.record))
@@ -294,27 +294,27 @@ class _Records:
         with closing(frames):
             for frame in frames:
                 before = last is not None and frame.number <= last
-                seen = not before and frame.number not in known
-                yield frame, known.get(frame.number), self._look.vehicles(frame) if seen else None
+                unknown = not before and frame.number not in known
+                yield frame, known.get(frame.number), self._frame_detector.vehicles(frame) if unknown else None
 
-    def _looked(self, boxed: Generator[_Boxed]) -> Iterator[_Looked]:
+    def _recorded(self, boxed: Generator[_Boxed]) -> Iterator[_RecordedFrame]:
         """Frames with what they show."""
         with closing(boxed):
             for frame, record, vehicles in boxed:
                 if vehicles is None:
-                    yield _Looked(frame, record)
+                    yield _RecordedFrame(frame, record)
                 else:
-                    yield _Looked(frame, self._look.record(frame, vehicles), seen=True)
+                    yield _RecordedFrame(frame, self._frame_detector.record(frame, vehicles), is_new=True)
 
     def _moved_to(
-        self, looked: Generator[_Looked], moving: MotionEstimator, before: FrameRecord | None
-    ) -> Iterator[_Looked]:
+        self, recorded: Generator[_RecordedFrame], moving: MotionEstimator, before: FrameRecord | None
+    ) -> Iterator[_RecordedFrame]:
         """The same with the camera's motion since the frame before."""
-        with closing(looked):
-            for one in looked:
+        with closing(recorded):
+            for one in recorded:
                 yield self._with_motion(one, moving, before)
 
-    def _with_motion(self, one: _Looked, moving: MotionEstimator, before: FrameRecord | None) -> _Looked:
+    def _with_motion(self, one: _RecordedFrame, moving: MotionEstimator, before: FrameRecord | None) -> _RecordedFrame:
         frame, record = one.frame, one.record
         if record is None:
             if before is not None and frame.number == before.number:

@@ -324,16 +324,16 @@ def _camera(
     if size is not None:
         camera = replace(camera, image_size=size)
     if not known:
-        look = _detector(request, settings, given)
-        camera = _estimated_camera(source, look, settings, camera, warn)
+        frame_detector = _detector(request, settings, given)
+        camera = _estimated_camera(source, frame_detector, settings, camera, warn)
     return replace(camera, focal_sigma=0.0), offset  # one focal length for all frames
 
 
 def _estimated_camera(
-    source: FrameSource, look: FrameDetector, settings: RunSettings, unknown: Camera, warn: Warn
+    source: FrameSource, frame_detector: FrameDetector, settings: RunSettings, unknown: Camera, warn: Warn
 ) -> Camera:
     """The camera estimated from the vehicles of some frames, or one with a usual field of view."""
-    found = estimate_camera(source, look, unknown, **settings.arguments())
+    found = estimate_camera(source, frame_detector, unknown, **settings.arguments())
     if found is None:
         warn(
             f"No camera is given, and no car shows it: a field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is "
@@ -495,11 +495,11 @@ def _keypoint_warnings(job: VideoJob, run: VideoRun) -> list[str]:
         warnings.add(job.request.source, camera_warning_of(job.camera))
         return warnings.lines()
     for frame in run.frames:
-        for identity, seen in frame.observations.items():
+        for identity, observation in frame.observations.items():
             name = f"{identity} in {frame.name}"
-            warnings.add(name, input_warning_of(seen, job.camera))
+            warnings.add(name, input_warning_of(observation, job.camera))
             if (estimate := frame.estimates.get(identity)) is not None:
-                warnings.add_result(name, seen, estimate.reconstruction)
+                warnings.add_result(name, observation, estimate.reconstruction)
     return warnings.lines()
 
 

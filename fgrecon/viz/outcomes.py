@@ -69,10 +69,10 @@ def drawn_of(outcomes: Sequence[Outcome]) -> list[DrawnVehicle]:
     short = max(map(len, names)) <= _PLATE
     shown = []
     for number, (name, outcome) in enumerate(zip(names, outcomes, strict=True)):
-        seen = outcome.task.observation
-        box = seen.box
+        observation = outcome.task.observation
+        box = observation.box
         if box is None:
-            measured = seen.keypoints[seen.measured]
+            measured = observation.keypoints[observation.measured]
             if not len(measured):
                 continue
             box = box_around(measured)

@@ -252,10 +252,10 @@ def _log_points(play: Playback) -> None:
     points = rr.Points3D.columns(positions=known.points, colors=colours)
     play.at_result(entities.POINTS_3D, points.partition([count]))
     pixels = image_points(camera, np.eye(4), known.points)
-    seen = np.isfinite(pixels).all(axis=1)
+    measured = np.isfinite(pixels).all(axis=1)
     play.once(entities.POINTS_2D, rr.Points2D, radii=-1.5, draw_order=15.0)
-    flat = rr.Points2D.columns(positions=pixels[seen], colors=colours[seen])
-    play.at_result(entities.POINTS_2D, flat.partition([int(seen.sum())]))
+    flat = rr.Points2D.columns(positions=pixels[measured], colors=colours[measured])
+    play.at_result(entities.POINTS_2D, flat.partition([int(measured.sum())]))
 
 
 def log_ellipsoids(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import fgrecon
-from fgrecon.calibration.box_fit import SeenBox, fit_boxes, seen_boxes
+from fgrecon.calibration.box_fit import DetectedOutline, detected_outlines, fit_boxes
 from fgrecon.core.detector_calibration import BoxSource
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
@@ -23,7 +23,7 @@ def made(count=400, spread=0.02):
     for _ in range(count):
         corner, size = rng.uniform(0.0, 500.0, 2), rng.uniform(30.0, 200.0, 2)
         detected = np.array([*corner, *(corner + size)])
-        yield SeenBox(detected, detected - EDGES * np.tile(size, 2) + spread * size.max() * rng.normal(size=4))
+        yield DetectedOutline(detected, detected - EDGES * np.tile(size, 2) + spread * size.max() * rng.normal(size=4))
 
 
 def test_what_made_them_is_found():
@@ -70,7 +70,7 @@ def test_boxes_of_labels_are_wider_than_outlines(data):
         ]
         seen = [SimpleNamespace(box=box) for box in objects.box]
         frames.append(SimpleNamespace(drive=drive.name, number=frame.number, boxes=boxes, sightings=seen))
-    found = fit_boxes(list(seen_boxes([drive], frames, load_prior("car14"))))
+    found = fit_boxes(list(detected_outlines([drive], frames, load_prior("car14"))))
     assert found.left < 0.0 < found.right
     assert found.upper < 0.0 < found.lower
     assert max(-found.left, -found.upper, found.right, found.lower) < 0.1

@@ -102,7 +102,7 @@ def test_a_folder_of_results_has_one_content():
                 inputs = tuple(words[2:out]) if words[1] == "batch" else words[2]
                 filled.setdefault(words[out], set()).add((words[1], inputs))
         for block in (*blocks(text, "python"), *blocks(text, "py")):
-            found = re.findall(r'(?:sources_of\(.*?\), |look, follower, Path\()"(\w+)"', block)
+            found = re.findall(r'(?:sources_of\(.*?\), |frame_detector, follower, Path\()"(\w+)"', block)
             for name in found:
                 filled.setdefault(name, set()).add(("python", block))
     assert {"sized", "solved", "followed", "tracked"} <= set(filled)

@@ -1,4 +1,4 @@
-"""The car detector: looks and suppression by hand, the shipped file at work."""
+"""The car detector: passes and suppression by hand, the shipped file at work."""
 
 import hashlib
 import json
@@ -15,7 +15,7 @@ from fgrecon.io.images import read_image
 from fgrecon.io.kitti_files import Objects
 from fgrecon.perception import vehicles
 from fgrecon.perception.keypoints import sessions
-from fgrecon.perception.vehicles import DetectionSettings, Look, NanodetVehicleDetector, shipped, suppress
+from fgrecon.perception.vehicles import DetectionSettings, NanodetVehicleDetector, NetworkPass, shipped, suppress
 from fgrecon.simulation.demo import demo_scene
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
 from fgrecon_research.io.kitti_sets import read_labels
@@ -142,8 +142,8 @@ def sizes_seen(monkeypatch):
     return partial(_sizes_seen, monkeypatch)
 
 
-def _sizes_seen(monkeypatch, image, looks, boxes):
-    """What a detector finds in whose every look the network sees these boxes, as shares; and the input's sizes."""
+def _sizes_seen(monkeypatch, image, passes, boxes):
+    """What a detector finds in whose every pass the network sees these boxes, as shares; and the input's sizes."""
     inputs = []
 
     def decode(maps, width, least_score):
@@ -153,7 +153,7 @@ def _sizes_seen(monkeypatch, image, looks, boxes):
             2.0 * np.eye(4)[np.arange(len(boxes)) % 4],
         )
 
-    monkeypatch.setattr(vehicles, "SETTINGS", DetectionSettings(looks, 0.5, 0.5))
+    monkeypatch.setattr(vehicles, "SETTINGS", DetectionSettings(passes, 0.5, 0.5))
     monkeypatch.setattr(vehicles, "decode", decode)
     detector = NanodetVehicleDetector(runtime="opencv")
     detector._network = lambda blob: inputs.append(blob.shape[2:])
@@ -163,16 +163,16 @@ def _sizes_seen(monkeypatch, image, looks, boxes):
 def test_each_look_has_its_area_and_its_size_of_boxes(sizes_seen):
     image = np.zeros((375, 1242, 3), np.uint8)
     boxes = [[0.1, 0.1, 0.2, 0.3], [0.3, 0.1, 0.69, 0.9], [0.55, 0.2, 0.96, 0.8]]
-    found, inputs = sizes_seen(image, (Look(928 * 288), Look(256 * 80, 0.4)), boxes)
+    found, inputs = sizes_seen(image, (NetworkPass(928 * 288), NetworkPass(256 * 80, 0.4)), boxes)
     assert inputs == [(288, 928), (64, 256)]
     assert len(found) == 3  # what the second look sees again is suppressed
     likely = [max(one.probabilities, key=lambda name: one.probabilities[name]) for one in found.classes]
     assert likely == ["car", "bus", "tram"]
     assert found.take(np.array([2])).classes[0] is found.classes[2]
-    alone, inputs = sizes_seen(image, (Look(256 * 80, 0.4),), boxes)
+    alone, inputs = sizes_seen(image, (NetworkPass(256 * 80, 0.4),), boxes)
     assert inputs == [(64, 256)]
     np.testing.assert_allclose(alone.boxes, np.array([boxes[2]]) * [1242, 375, 1242, 375] - 0.5)
-    tall, _ = sizes_seen(image, (Look(256 * 80, 0.4),), [[-0.5, 0.0, 0.2, 1.0]])
+    tall, _ = sizes_seen(image, (NetworkPass(256 * 80, 0.4),), [[-0.5, 0.0, 0.2, 1.0]])
     assert len(tall) == 0  # what is beyond the border does not count
 
 
@@ -205,7 +205,7 @@ def test_boxes_that_are_given_have_a_class_as_well(monkeypatch):
 
 def test_small_and_narrow_images_are_made_large_enough(sizes_seen):
     for shape, expected in (((1, 1, 3), (64, 64)), ((3, 900, 3), (64, 896)), ((500, 40, 3), (512, 64))):
-        _, inputs = sizes_seen(np.zeros(shape, np.uint8), (Look(928 * 288),), [[0.0, 0.0, 1.0, 1.0]])
+        _, inputs = sizes_seen(np.zeros(shape, np.uint8), (NetworkPass(928 * 288),), [[0.0, 0.0, 1.0, 1.0]])
         assert inputs == [expected]
 
 

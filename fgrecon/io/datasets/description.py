@@ -132,9 +132,9 @@ class CameraImage:
     def pixels(self, points: Array) -> tuple[Array, Array]:
         """(N, 2) pixels of points (N, 3) of the world, and their depths (N,); behind the camera they mean nothing."""
         camera_T_world = np.linalg.inv(self.world_T_camera).astype(np.float64)
-        seen = transform(camera_T_world, points)
-        safe: Array = np.where(seen[:, 2:] > 0.0, seen, [0.0, 0.0, 1.0])
-        return self.lens.distort(self.lens.project(safe)), seen[:, 2]
+        in_camera = transform(camera_T_world, points)
+        safe: Array = np.where(in_camera[:, 2:] > 0.0, in_camera, [0.0, 0.0, 1.0])
+        return self.lens.distort(self.lens.project(safe)), in_camera[:, 2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,15 +232,15 @@ def images_there(drive: DataSequence, images: tuple[CameraImage, ...]) -> tuple[
 def _frame(number: int, image: CameraImage, drive: DataSequence, tracks: dict[str, int]) -> DriveFrame:
     moment = None if image.moment is None else drive.moments[image.moment]
     boxes = () if moment is None else moment.boxes
-    seen = [(box, row) for box in boxes if (row := _row(box, image)) is not None]
-    kinds = [drive.cars.get(box.kind, "_".join(box.kind.split())) for box, _ in seen]
-    objects = Objects.of_rows(kinds, np.array([row for _, row in seen]))
+    visible = [(box, row) for box in boxes if (row := _row(box, image)) is not None]
+    kinds = [drive.cars.get(box.kind, "_".join(box.kind.split())) for box, _ in visible]
+    objects = Objects.of_rows(kinds, np.array([row for _, row in visible]))
     return DriveFrame(
         number=number,
         image=image.path,
         objects=objects,
-        tracks=np.array([tracks.setdefault(box.track or box.name, len(tracks)) for box, _ in seen], dtype=np.int64),
-        usable=np.ones(len(seen), dtype=bool),
+        tracks=np.array([tracks.setdefault(box.track or box.name, len(tracks)) for box, _ in visible], dtype=np.int64),
+        usable=np.ones(len(visible), dtype=bool),
         labelled=image.moment is not None,
         calibration=KittiCalibration(image.lens, np.zeros(3), image.camera_T_points),
         time=image.time if drive.continuous else None,

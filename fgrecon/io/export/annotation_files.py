@@ -63,9 +63,9 @@ def cvat_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -
 def _cvat_shapes(image: ET.Element, item: NamedResult, group: str) -> None:
     shared = {"label": item.kind or "Car", "source": "auto", "z_order": "0", "group_id": group}
     skeleton = ET.SubElement(image, "skeleton", shared)
-    for name, uv, seen in keypoints_of(item):
+    for name, uv, visible in keypoints_of(item):
         u, v = uv.tolist()
-        place = {"points": f"{u!r},{v!r}", "outside": "0", "occluded": str(int(not seen))}
+        place = {"points": f"{u!r},{v!r}", "outside": "0", "occluded": str(int(not visible))}
         ET.SubElement(skeleton, "points", {"label": name, "source": "auto", **place})
     box = dict(zip(("xtl", "ytl", "xbr", "ybr"), map(repr, image_box(item).tolist()), strict=True))
     ET.SubElement(image, "box", {**shared, "occluded": "0", **box})
@@ -161,8 +161,8 @@ def _scalabel_label(item: NamedResult) -> dict[str, Any]:
     about_y, about_z, about_x = Rotation.from_matrix(pose[:3, :3]).as_euler("yzx").tolist()
     x, _, z = pose[:3, 3]
     nodes = [
-        {"id": name, "category": name, "location": uv.tolist(), "visibility": "V" if seen else "N", "type": "keypoint"}
-        for name, uv, seen in keypoints_of(item)
+        {"id": name, "category": name, "location": uv.tolist(), "visibility": "V" if shown else "N", "type": "keypoint"}
+        for name, uv, shown in keypoints_of(item)
     ]
     names = keypoint_names(item)
     edges = [{"source": names[a], "target": names[b]} for a, b in result.shape.edges.tolist()]

@@ -112,4 +112,4 @@ def _corners(item: NamedResult) -> dict[str, Any]:
     points = transform(pose, box_corners(item.result.box_size))
     ahead = points[:, 2] >= MIN_DEPTH
     pixels = item.camera.distort(item.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0])))
-    return {"corners": [uv if seen else None for uv, seen in zip(pixels.tolist(), ahead.tolist(), strict=True)]}
+    return {"corners": [uv if shown else None for uv, shown in zip(pixels.tolist(), ahead.tolist(), strict=True)]}

@@ -45,8 +45,8 @@ def labelme_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]
             "points": image_box(item).reshape(2, 2).tolist(),
         }
         points = [
-            {"label": label, "shape_type": "point", "points": [uv.tolist()], "flags": {"hidden": not seen}}
-            for label, uv, seen in keypoints_of(item)
+            {"label": label, "shape_type": "point", "points": [uv.tolist()], "flags": {"hidden": not visible}}
+            for label, uv, visible in keypoints_of(item)
         ]
         shapes += [{"flags": {}, **shape, "group_id": group} for shape in (box, *points)]
     width, height = image_size(items) or (None, None)
@@ -125,9 +125,9 @@ def fiftyone_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo
             box = [*low.tolist(), *(high - low).tolist()]
             boxes.append({"_cls": "Detection", **shared, "bounding_box": box, "confidence": float(score(item))})
             pairs = [(uv / size).tolist() for uv in item.result.pose.wireframe_uv]
-            seen = item.result.diagnostics.visibility.tolist()
+            visibility = item.result.diagnostics.visibility.tolist()
             names = list(keypoint_names(item))
-            points.append({"_cls": "Keypoint", **shared, "points": pairs, "confidence": seen, "names": names})
+            points.append({"_cls": "Keypoint", **shared, "points": pairs, "confidence": visibility, "names": names})
             if (corners := corner_pixels(item)) is not None:
                 faces = [(corners[face] / size).tolist() for face in _FACES]
                 cuboids.append({"_cls": "Polyline", **shared, "points": faces, "closed": True, "filled": False})

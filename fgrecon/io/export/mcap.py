@@ -164,9 +164,9 @@ def _moments(results: Sequence[NamedResult], images: Mapping[str, ImageInfo], be
         below: Seconds from which on the file cannot tell the time.
     """
     found = by_image(results)
-    seen = {name for image in found for name in names_of(image)}
+    named = {name for image in found for name in names_of(image)}
     empty: dict[str, list[NamedResult]] = {
-        name: [] for name, info in images.items() if name not in seen and info.timestamp is not None
+        name: [] for name, info in images.items() if name not in named and info.timestamp is not None
     }
     moments = []
     for number, (image, items) in enumerate((found | empty).items()):

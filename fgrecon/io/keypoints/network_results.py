@@ -189,14 +189,14 @@ def _records(found: _Found, category: Category, names: Names | None) -> _Records
         if array is not None and array.shape != shape:
             raise InvalidInputError(name, f"shape {array.shape}", f"Give {shape}, as there are {count} vehicles.")
     order = order_of(points.shape[1], category, names, field)
-    seen = np.isfinite(points).all(axis=2) & (points != 0).any(axis=2)
+    measured = np.isfinite(points).all(axis=2) & (points != 0).any(axis=2)
     if confidence is not None:
-        seen &= confidence > 0
+        measured &= confidence > 0
     for number, pixels in enumerate(points):
         rows = pixels if confidence is None else np.column_stack([pixels, confidence[number]])
         record: dict[str, Any] = {"id": number} | dict(found.shared or {})
         record["keypoints"] = {
-            name: row.tolist() for name, row, there in zip(order, rows, seen[number], strict=True) if name and there
+            name: row.tolist() for name, row, there in zip(order, rows, measured[number], strict=True) if name and there
         }
         if found.boxes is not None:
             record["box"] = found.boxes[number].tolist()

@@ -253,8 +253,8 @@ class _Swinging:
         """Take note of an iteration; the images that now swing."""
         if not self._several:
             return set()
-        seen = [np.array([one.visibility for one in some]) for some in (before, after)]
-        self._changes.append(np.abs(seen[1] - seen[0]).max(axis=1))
+        visibilities = [np.array([one.visibility for one in some]) for some in (before, after)]
+        self._changes.append(np.abs(visibilities[1] - visibilities[0]).max(axis=1))
         if len(self._changes) <= (2 if self.held else NEWTON.watched_iterations):
             return set()
         now, earlier = self._changes[-1], self._changes[-3]

@@ -112,8 +112,8 @@ def direction_evidence(azimuth: Array | None, location: Array) -> Array:
     """(B,) logarithms of what the network's directions (A,) say of a vehicle at a place (3,) in the camera's frame."""
     if azimuth is None:
         return np.zeros(_BINS)
-    seen = view_azimuth(yaw_rotation(HEADINGS), np.broadcast_to(location, (_BINS, 3)))
-    density, nothing = at_direction(azimuth, seen) * len(azimuth), SETTINGS.uninformative_directions_probability
+    directions = view_azimuth(yaw_rotation(HEADINGS), np.broadcast_to(location, (_BINS, 3)))
+    density, nothing = at_direction(azimuth, directions) * len(azimuth), SETTINGS.uninformative_directions_probability
     return np.asarray(np.log((1.0 - nothing) * density + nothing))
 
 

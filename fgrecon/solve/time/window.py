@@ -56,7 +56,7 @@ makes factors on X(0, number), V(0, number) and L(0)."""
 class WindowSolve:
     """Frames of a window, solved together."""
 
-    seen: tuple[GraphObservation, ...]  # the frames' observations
+    parts: tuple[GraphObservation, ...]  # the frames' observations
     starts: tuple[PoseEstimate, ...]  # their proposals
     adjusted: MultiStartResult  # where the graph's optimisation ended
     extra: tuple[gtsam.NonlinearFactor, ...]  # the factors of motion
@@ -91,7 +91,7 @@ class WindowSolve:
         Either by more than some energy (nats, if it counted whole) the motion to it and to the one before it; or its
         keypoints are all taken for wrong, though by itself they are right.
         """
-        optimum, last = self.adjusted.optimum, {one.image for one in self.seen[-2:]}
+        optimum, last = self.adjusted.optimum, {one.image for one in self.parts[-2:]}
         ends = [_frames_of(tuple(factor.keys())) for factor in self.extra]
         between = [f for f, some in zip(self.extra, ends, strict=True) if len(some) > 1 and some & last]
         if self.adjusted.graph.error_of(between, optimum.values) > energy * self.motion_share:
@@ -110,8 +110,8 @@ def _frames_of(keys: tuple[int, ...]) -> frozenset[int]:
 
 def solve_single(problem: Problem, start: PoseEstimate, number: int) -> WindowSolve:
     """Solve one frame as the single image that it is."""
-    seen = GraphObservation(problem, image=number)
-    return WindowSolve((seen,), (start,), minimise_from_proposals([seen], [start]), ())
+    part = GraphObservation(problem, image=number)
+    return WindowSolve((part,), (start,), minimise_from_proposals([part], [start]), ())
 
 
 def solve_window(
@@ -165,18 +165,18 @@ def _solved(
     stands: bool | None,
 ) -> WindowSolve:
     """The frames together, with the motion of a vehicle that stands in all of them, or drives, or may do either."""
-    seen = tuple(GraphObservation(f.problem, image=f.number) for f in frames)
+    parts = tuple(GraphObservation(f.problem, image=f.number) for f in frames)
     others = gtsam.Values()
     for frame in frames:
         others.insert(V(0, frame.number), frame.velocity)
     state = State([f.pose for f in frames], {0: shape}, [f.weights for f in frames], others)
-    graph = Graph(seen, state, pose_free=True, extra=extra)
+    graph = Graph(parts, state, pose_free=True, extra=extra)
     optimum = optimise(graph, state, max_iterations)
     if optimum.failure is None and max_iterations is not None:
         optimum = replace(optimum, unfinished=None)
     adjusted = MultiStartResult(optimum, (SolvedStage("track", graph, optimum.steps),), ((),) * len(frames))
     starts, over_world = tuple(frame.start for frame in frames), tuple(_observed_over_world(frames))
-    return WindowSolve(seen, starts, adjusted, tuple(extra), _shares(frames)[1], over_world, stands)
+    return WindowSolve(parts, starts, adjusted, tuple(extra), _shares(frames)[1], over_world, stands)
 
 
 def _shares(frames: Sequence[Frame]) -> tuple[float, float]:

@@ -124,11 +124,11 @@ def _by_frame(members: Sequence[_Member]) -> dict[int, tuple[Camera, dict[int, O
     """What each frame shows, by its number."""
     frames: dict[int, tuple[Camera, dict[int, Observation]]] = {}
     for one in members:
-        _, seen = frames.setdefault(one.frame.number, (one.camera, {}))
-        if one.track in seen:
+        _, vehicles = frames.setdefault(one.frame.number, (one.camera, {}))
+        if one.track in vehicles:
             value = f"track {one.track} twice in frame {one.frame.number}"
             raise InvalidInputError("labels", value, "Give every vehicle of a frame a number of its own.")
-        seen[one.track] = one.found.observation
+        vehicles[one.track] = one.found.observation
     return frames
 
 

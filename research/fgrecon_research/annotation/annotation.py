@@ -165,8 +165,8 @@ def _visible(fit: Fit, camera: Camera, before: tuple[Solid, ...]) -> Array:
 
 
 def _agreement(found: Detection, keypoints: Array) -> float:
-    seen = found.observation
-    confidence = np.where(seen.measured, seen.confidence, 0.0)
+    observation = found.observation
+    confidence = np.where(observation.measured, observation.confidence, 0.0)
     with np.errstate(invalid="ignore"):  # points that were not measured
-        near = np.linalg.norm(seen.keypoints - keypoints, axis=1) <= _AGREES * seen.extent
+        near = np.linalg.norm(observation.keypoints - keypoints, axis=1) <= _AGREES * observation.extent
     return float((confidence * near).sum() / max(confidence.sum(), 1e-9))

@@ -61,14 +61,14 @@ def class_file(labels: Path, drives: Sequence[Path]) -> dict[str, Any]:
     """
     classes = class_sizes(labels)
     share = {name: one["share"] for name, one in classes.items()}
-    seen = detected_vehicles(drives)
-    coco = detector_classes(seen, share)
+    vehicles = detected_vehicles(drives)
+    coco = detector_classes(vehicles, share)
     either = classes["car"]["share"] + classes["van"]["share"]
     car = {name: round(classes[name]["share"] / either, 4) for name in ("car", "van")}
     nuscenes = {name: {one: 1.0} for name, one in _NUSCENES.items()} | {"car": car, "vehicle.car": car}
     sure = {scheme: {name: {one: 1.0} for name, one in names.items()} for scheme, names in _NAMES.items()}
     schemes = {**sure, "nuscenes": nuscenes, "coco": coco, "yolo": coco}
-    return {"name": "kitti", "classes": classes, "schemes": schemes, "detector": detector_odds(seen, share)}
+    return {"name": "kitti", "classes": classes, "schemes": schemes, "detector": detector_odds(vehicles, share)}
 
 
 def class_sizes(labels: Path) -> dict[str, Any]:

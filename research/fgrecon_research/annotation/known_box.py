@@ -92,7 +92,7 @@ def fit_known_boxes(
     size = np.median(sizes, axis=0)
     model = prepare(prior, SizePrior("of the box", size, how.size_share * size))
     options = Options(box="off", shape=ShapeOptions(common_error=how.common_error), keep_history=False)
-    seen: list[GraphObservation] = []
+    parts: list[GraphObservation] = []
     starts: list[PoseEstimate] = []
     extra: list[gtsam.NonlinearFactor] = []
     for number, view in enumerate(views):
@@ -102,14 +102,14 @@ def fit_known_boxes(
         except DegenerateProblemError:
             continue
         start = _start(problem, view.box)
-        seen.append(GraphObservation(problem, image=number))
+        parts.append(GraphObservation(problem, image=number))
         starts.append(start)
         extra.append(_labelled(start.camera_T_object, X(0, number), how))
     found: list[Fit | Reason] = [Reason.FEW_POINTS] * len(views)
-    if seen:
-        adjusted = minimise_from_proposals(seen, starts, extra)
-        solved = results(seen, starts, adjusted, {}, extra)
-        for one, result, covariance in zip(seen, solved, _covariances(adjusted), strict=True):
+    if parts:
+        adjusted = minimise_from_proposals(parts, starts, extra)
+        solved = results(parts, starts, adjusted, {}, extra)
+        for one, result, covariance in zip(parts, solved, _covariances(adjusted), strict=True):
             found[one.image] = Reason.NO_MINIMUM if covariance is None else Fit.of(result, covariance, model.prior)
     return found
 

@@ -65,8 +65,8 @@ def fit_unboxed(
     tracker = Tracker(prior=prior, size_prior=known.size, past=None)
     found: dict[tuple[int, int], Fit | Reason] = {}
     for number in progress(sorted(frames), "Tracks"):
-        camera, seen = frames[number]
-        tracker.update(number / IMAGES_PER_SECOND, seen, camera=camera, ground=known.ground)
+        camera, vehicles = frames[number]
+        tracker.update(number / IMAGES_PER_SECOND, vehicles, camera=camera, ground=known.ground)
         for track, error in tracker.refused.items():
             if not isinstance(error, DegenerateProblemError):
                 raise error

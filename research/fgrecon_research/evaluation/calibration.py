@@ -176,9 +176,11 @@ def judge_simulated(
     spread = model.any_fleet_spread if size_prior is None else model.spread_of(np.diag(size_prior.sigma**2))
     for number in range(count):
         shape = rng.multivariate_normal(np.zeros(prior.dimension), spread, method="cholesky")
-        ((seen, truth),) = simulate_many([Vehicle.of_prior(model.prior, shape)], 1, rng, noise)
+        ((observation, truth),) = simulate_many([Vehicle.of_prior(model.prior, shape)], 1, rng, noise)
         try:
-            found = reconstruct(seen, KITTI_CAMERA, prior=prior, ground=ground, size_prior=size_prior, options=options)
+            found = reconstruct(
+                observation, KITTI_CAMERA, prior=prior, ground=ground, size_prior=size_prior, options=options
+            )
         except FgreconError:
             yield None
             continue

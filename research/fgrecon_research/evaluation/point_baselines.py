@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from fgrecon.calibration.labelled_boxes import BoxOutcome
-from fgrecon.calibration.labelled_frames import Looked, LookedFrame
+from fgrecon.calibration.labelled_frames import ReconstructedFrame, ReconstructedVehicle
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, wrap_angle
@@ -33,39 +33,41 @@ _YAW = np.radians(5.0)  # that the picture's is trusted, 1 sigma; points alone t
 _FEWEST = 3  # points that a cuboid is fitted to
 
 
-def score_baselines(looked: LookedFrame, points: Array, suffix: str = "") -> list[Mapping[str, BoxOutcome]]:
+def score_baselines(solved: ReconstructedFrame, points: Array, suffix: str = "") -> list[Mapping[str, BoxOutcome]]:
     """The baselines on each labelled box of a frame; one without a point in its 2D box, or a pose, has failed.
 
     Args:
-        looked: The boxes, and what was found in each by the picture alone.
+        solved: The boxes, and what was found in each by the picture alone.
         points: (N, 3) in the camera's frame, metres.
         suffix: Of the baselines' names: of points of another sensor than a LiDAR.
     """
-    scored = [_score(looked, look, in_box(points, looked.camera, _box(looked, look))) for look in looked.looks]
+    scored = [
+        _score(solved, vehicle, in_box(points, solved.camera, _box(solved, vehicle))) for vehicle in solved.vehicles
+    ]
     return [{f"{name}{suffix}": one for name, one in found.items()} for found in scored]
 
 
 def in_box(points: Array, camera: Camera, box: Array) -> Array:
     """The points (N, 3) in the camera's frame that fall into a 2D box (4,)."""
-    seen = points[in_image(points, camera)]
-    pixels = camera.project(seen)
-    return seen[np.all((pixels >= box[:2]) & (pixels <= box[2:]), axis=1)]
+    visible = points[in_image(points, camera)]
+    pixels = camera.project(visible)
+    return visible[np.all((pixels >= box[:2]) & (pixels <= box[2:]), axis=1)]
 
 
-def _box(looked: LookedFrame, look: Looked) -> Array:
-    assert look.label is not None
-    return looked.frame.objects.box[look.label]
+def _box(solved: ReconstructedFrame, vehicle: ReconstructedVehicle) -> Array:
+    assert vehicle.label is not None
+    return solved.frame.objects.box[vehicle.label]
 
 
-def _score(looked: LookedFrame, look: Looked, points: Array) -> Mapping[str, BoxOutcome]:
-    found, prior = look.found.result, looked.setup.size_prior
+def _score(solved: ReconstructedFrame, vehicle: ReconstructedVehicle, points: Array) -> Mapping[str, BoxOutcome]:
+    found, prior = vehicle.found.result, solved.setup.size_prior
     if found is None or not len(points):
         return dict.fromkeys((MEDIAN, CUBOID), _failed("no point in the 2D box" if found else "no pose by the picture"))
     size = prior.mean if prior is not None else found.box_size
-    middle = by_median_depth(points, looked.camera, _box(looked, look), size)
+    middle = by_median_depth(points, solved.camera, _box(solved, vehicle), size)
     place = middle + np.array([0.0, size[2] / 2.0, 0.0])
-    labels, offset = looked.frame.objects, looked.frame.calibration.label_offset
-    truth, labelled = looked.truth(look), labels.size[look.label]
+    labels, offset = solved.frame.objects, solved.frame.calibration.label_offset
+    truth, labelled = solved.truth(vehicle), labels.size[vehicle.label]
     scored = {MEDIAN: pose_outcome(place - offset, found.rotation_y, size, truth, labelled)}
     bottom = float(found.location[1])  # of the picture: on its ground
     near = (np.abs(points[:, 2] - middle[2] + size[0] / 2.0) < _REACH) & (points[:, 1] < bottom - _FEET)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import BoxOutcome
-from fgrecon.calibration.labelled_frames import LookedFrame
+from fgrecon.calibration.labelled_frames import ReconstructedFrame
 from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.camera import Camera
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error
@@ -143,14 +143,14 @@ class ScoredRivals:
         """
         self.solvers = {method.name: method.bind(scene) for method in select(names)}
 
-    def __call__(self, looked: LookedFrame) -> list[Mapping[str, BoxOutcome]]:
+    def __call__(self, solved: ReconstructedFrame) -> list[Mapping[str, BoxOutcome]]:
         """Score each method on the keypoints of each box."""
         return [
             {
-                name: _of_score(score_pose(solver, looked.camera, frame, looked.frame.calibration.label_offset))
+                name: _of_score(score_pose(solver, solved.camera, frame, solved.frame.calibration.label_offset))
                 for name, solver in self.solvers.items()
             }
-            for frame in looked.keypoints()
+            for frame in solved.keypoints()
         ]
 
 

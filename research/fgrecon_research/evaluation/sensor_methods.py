@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import BoxOutcome, VideoBox
-from fgrecon.calibration.labelled_frames import LookedFrame, found_outcome
+from fgrecon.calibration.labelled_frames import ReconstructedFrame, found_outcome
 from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.camera import Camera
 from fgrecon.core.choices import DepthScale
@@ -46,46 +46,46 @@ _SCALES, _SHIFTS = (0.3, 3.0), (-3.0, 3.0)  # of maps in other units: metres for
 _LIDAR_SIGMA = 0.05  # metres, of a pixel of a scan
 
 
-def score_sensed(looked: LookedFrame, sensors: Collection[Sensor]) -> list[Mapping[str, BoxOutcome]]:
+def score_sensed(solved: ReconstructedFrame, sensors: Collection[Sensor]) -> list[Mapping[str, BoxOutcome]]:
     """The outcomes of each labelled box of a frame with what each sensor adds, by the methods' names."""
-    scored: list[dict[str, BoxOutcome]] = [{} for _ in looked.looks]
-    for name, evidence in _evidence(looked, sensors).items():
-        for one, outcomes in zip(_solved(looked, evidence), scored, strict=True):
+    scored: list[dict[str, BoxOutcome]] = [{} for _ in solved.vehicles]
+    for name, evidence in _evidence(solved, sensors).items():
+        for one, outcomes in zip(_solved(solved, evidence), scored, strict=True):
             outcomes[name] = one
     return list(scored)
 
 
-def _evidence(looked: LookedFrame, sensors: Collection[Sensor]) -> dict[str, Evidence]:
+def _evidence(solved: ReconstructedFrame, sensors: Collection[Sensor]) -> dict[str, Evidence]:
     """What each method gets."""
     found: dict[str, Evidence] = {}
     if Sensor.RIGHT in sensors:
-        found[STEREO] = stereo_depth(looked.image, looked.camera, right_image(looked.frame))
+        found[STEREO] = stereo_depth(solved.image, solved.camera, right_image(solved.frame))
     if Sensor.DEPTH in sensors:
-        found |= _depths(looked)
+        found |= _depths(solved)
     if Sensor.LIDAR in sensors:
-        place = looked.frame.calibration.camera_T_lidar
+        place = solved.frame.calibration.camera_T_lidar
         origin = np.zeros(3) if place is None else place[:3, 3]
-        scan = Points(lidar_points(looked.frame), origin=origin)
+        scan = Points(lidar_points(solved.frame), origin=origin)
         found |= {LIDAR: scan} | {f"{LIDAR}/{every}": scan.thinned(every) for every in THINNED}
-        axis = np.random.default_rng(looked.frame.number).normal(size=3)
+        axis = np.random.default_rng(solved.frame.number).normal(size=3)
         turn = exponential(_WRONG_EXTRINSICS * axis / np.linalg.norm(axis))
         found[TURNED] = Points(scan.points @ turn.T, scan.sigma, origin)
     return found
 
 
-def _depths(looked: LookedFrame) -> dict[str, DepthMap]:
+def _depths(solved: ReconstructedFrame) -> dict[str, DepthMap]:
     """A depth map in metres, and up to scale and shift."""
-    height, width = looked.image.shape[:2]
+    height, width = solved.image.shape[:2]
     depth, sigma = np.full((height, width), np.nan), np.full((height, width), _LIDAR_SIGMA)
-    if file_of(looked.frame, Sensor.RIGHT) is not None:
-        matched = stereo_depth(looked.image, looked.camera, right_image(looked.frame))
+    if file_of(solved.frame, Sensor.RIGHT) is not None:
+        matched = stereo_depth(solved.image, solved.camera, right_image(solved.frame))
         depth, sigma = matched.depth.copy(), np.nan_to_num(np.asarray(matched.sigma), nan=_LIDAR_SIGMA)
-    points = lidar_points(looked.frame)
-    points = points[in_image(points, looked.camera)]
+    points = lidar_points(solved.frame)
+    points = points[in_image(points, solved.camera)]
     points = points[np.argsort(-points[:, 2])]  # what is nearer hides what is behind it
-    column, row = np.clip(np.rint(looked.camera.project(points)), 0, [width - 1, height - 1]).astype(int).T
+    column, row = np.clip(np.rint(solved.camera.project(points)), 0, [width - 1, height - 1]).astype(int).T
     depth[row, column], sigma[row, column] = points[:, 2], _LIDAR_SIGMA
-    chance = np.random.default_rng(looked.frame.number)
+    chance = np.random.default_rng(solved.frame.number)
     scale, shift = np.exp(chance.uniform(*np.log(_SCALES))), chance.uniform(*_SHIFTS)
     kind = DepthScale.SCALE_AND_SHIFT
     return {
@@ -94,17 +94,17 @@ def _depths(looked: LookedFrame) -> dict[str, DepthMap]:
     }
 
 
-def _solved(looked: LookedFrame, evidence: Evidence) -> list[BoxOutcome]:
-    setup, labels = looked.setup, looked.frame.objects
+def _solved(solved: ReconstructedFrame, evidence: Evidence) -> list[BoxOutcome]:
+    setup, labels = solved.setup, solved.frame.objects
     how: dict[str, Any] = {"ground": setup.ground, "size_prior": setup.size_prior, "together": setup.together}
-    detections = [look.found.detection for look in looked.looks]
+    detections = [vehicle.found.detection for vehicle in solved.vehicles]
     found = reconstruct_detections(
-        detections, looked.camera, prior=setup.prior, options=setup.options, evidence=(evidence,), **how
+        detections, solved.camera, prior=setup.prior, options=setup.options, evidence=(evidence,), **how
     )
-    offset = looked.frame.calibration.label_offset
+    offset = solved.frame.calibration.label_offset
     return [
-        found_outcome(one, looked.truth(look), labels.size[look.label], offset)
-        for look, one in zip(looked.looks, found, strict=True)
+        found_outcome(one, solved.truth(vehicle), labels.size[vehicle.label], offset)
+        for vehicle, one in zip(solved.vehicles, found, strict=True)
     ]
 
 
@@ -124,15 +124,15 @@ class OtherMethods:
         """
         self._rivals, self._sensors = ScoredRivals(scene, rivals), sensors
 
-    def __call__(self, looked: LookedFrame) -> list[Mapping[str, BoxOutcome]]:
+    def __call__(self, solved: ReconstructedFrame) -> list[Mapping[str, BoxOutcome]]:
         """The outcomes of each box by the methods' names."""
-        scored = [self._rivals(looked), score_sensed(looked, self._sensors)]
+        scored = [self._rivals(solved), score_sensed(solved, self._sensors)]
         if Sensor.LIDAR in self._sensors:
-            scored.append(score_baselines(looked, lidar_points(looked.frame)))
+            scored.append(score_baselines(solved, lidar_points(solved.frame)))
         if Sensor.RIGHT in self._sensors:
-            found = stereo_depth(looked.image, looked.camera, right_image(looked.frame))
-            points = depth_points(found.depth[::_EVERY, ::_EVERY], looked.camera, _EVERY)
-            scored.append(score_baselines(looked, points, "_stereo"))
+            found = stereo_depth(solved.image, solved.camera, right_image(solved.frame))
+            points = depth_points(found.depth[::_EVERY, ::_EVERY], solved.camera, _EVERY)
+            scored.append(score_baselines(solved, points, "_stereo"))
         return [{name: one for part in parts for name, one in part.items()} for parts in zip(*scored, strict=True)]
 
 

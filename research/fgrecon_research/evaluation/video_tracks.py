@@ -165,9 +165,9 @@ def follow_boxes(
     return found
 
 
-def _records(seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, moving: bool) -> Iterator[FrameRecord]:
+def _records(scored: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, moving: bool) -> Iterator[FrameRecord]:
     """What the frames show; with the camera's motion, those between them as well."""
-    sightings = {frame.number: frame.sightings for frame in seen}
+    sightings = {frame.number: frame.sightings for frame in scored}
     look = None
     if moving:
         assert setup.ground is not None
@@ -196,7 +196,7 @@ class _Followed:
 
 
 def _follow(
-    seen: Sequence[ScoredFrame],
+    scored_frames: Sequence[ScoredFrame],
     drive: Drive,
     setup: Setup,
     advance: Callable[[str], None],
@@ -206,16 +206,16 @@ def _follow(
     lidar: bool,
 ) -> list[VideoBox]:
     camera = drive.calibration.camera.with_size_of(read_image(drive.frames[0].image))  # as single images have it
-    follow = partial(_estimates, seen, drive, camera, setup, advance, forget_ids=forget_ids, lidar=lidar)
+    follow = partial(_estimates, scored_frames, drive, camera, setup, advance, forget_ids=forget_ids, lidar=lidar)
     still = follow(moving=False)
     ways = [(ONLINE, BATCH, still)]
     if estimate_motion:
         ways.append((ONLINE_MOVING, BATCH_MOVING, follow(moving=True)))
-    alone = _alone(seen, camera, setup)
-    results = ({ALONE: alone} if setup.together else {}) | _votes(seen, alone, still.ids)
+    alone = _alone(scored_frames, camera, setup)
+    results = ({ALONE: alone} if setup.together else {}) | _votes(scored_frames, alone, still.ids)
     frames = {frame.number: frame for frame in drive.frames}
     scored = []
-    for frame in seen:
+    for frame in scored_frames:
         for position, box in enumerate(frame.boxes):  # the first sightings are those of the labelled boxes
             key, labelled = (frame.number, position), frames[frame.number]
             objects, offset = labelled.objects, labelled.calibration.label_offset
@@ -240,7 +240,7 @@ def _outcome(found: Reconstruction | str, truth: GroundTruth, size: Array, offse
 
 
 def _estimates(
-    seen: Sequence[ScoredFrame],
+    scored: Sequence[ScoredFrame],
     drive: Drive,
     camera: Camera,
     setup: Setup,
@@ -266,8 +266,8 @@ def _estimates(
     online: dict[_Key, VehicleEstimate] = {}
     ids: dict[_Key, int] = {}
     places: dict[int, Array] = {}
-    numbers = {frame.number for frame in seen}
-    for record in _records(seen, drive, setup, moving=moving):
+    numbers = {frame.number for frame in scored}
+    for record in _records(scored, drive, setup, moving=moving):
         if forget_ids:
             record = replace(record, sightings=tuple(replace(one, identity=None) for one in record.sightings))
         tracked = follower(record)
@@ -288,11 +288,11 @@ def _estimates(
 
 
 def _votes(
-    seen: Sequence[ScoredFrame], alone: Mapping[_Key, Reconstruction | str], ids: Mapping[_Key, int]
+    scored: Sequence[ScoredFrame], alone: Mapping[_Key, Reconstruction | str], ids: Mapping[_Key, int]
 ) -> dict[str, dict[_Key, Reconstruction | str]]:
     """The results of `vote`, vehicle by vehicle; one that was not followed votes for itself."""
     tracks: dict[int | _Key, dict[_Key, tuple[Reconstruction, Array | None]]] = {}
-    for frame in seen:
+    for frame in scored:
         for position, one in enumerate(frame.sightings):
             key = frame.number, position
             result, directions = alone[key], None if one.observation is None else one.observation.azimuth
@@ -307,21 +307,21 @@ def _votes(
     return found
 
 
-def _alone(seen: Sequence[ScoredFrame], camera: Camera, setup: Setup) -> dict[_Key, Reconstruction | str]:
+def _alone(scored: Sequence[ScoredFrame], camera: Camera, setup: Setup) -> dict[_Key, Reconstruction | str]:
     """The result of each sighting by itself, or why there is none."""
     return {
         (frame.number, position): _by_itself(one, camera, setup)
-        for frame in seen
+        for frame in scored
         for position, one in enumerate(frame.sightings)
     }
 
 
-def _by_itself(seen: Sighting, camera: Camera, setup: Setup) -> Reconstruction | str:
-    if seen.observation is None:
+def _by_itself(sighting: Sighting, camera: Camera, setup: Setup) -> Reconstruction | str:
+    if sighting.observation is None:
         return "no keypoints"
     try:
         return reconstruct(
-            seen.observation,
+            sighting.observation,
             camera,
             prior=setup.prior,
             ground=setup.ground,

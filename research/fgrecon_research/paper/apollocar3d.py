@@ -181,11 +181,11 @@ def _read_car(fields: Fields, name: str, models: Apollo79) -> MarkedCar:
 
 def _marked(marks: Array) -> Array:
     """(14, 2) our keypoints among the 66; a lamp only where all four of its points are marked."""
-    pixels, seen = marks[:, :2], marks[:, 2] > 0
+    pixels, measured = marks[:, :2], marks[:, 2] > 0
     found = np.full((14, 2), np.nan)
     groups: Mapping[int, Sequence[int]] = {**{k: (point,) for k, point in _POINTS.items()}, **_LAMPS}
     for keypoint, points in groups.items():
-        if seen[list(points)].all():
+        if measured[list(points)].all():
             found[keypoint] = pixels[list(points)].mean(axis=0)
     return found
 

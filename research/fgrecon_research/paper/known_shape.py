@@ -234,6 +234,10 @@ def _solved(car: MarkedCar, camera: Camera, prior: ShapePrior) -> ExampleCar | N
         )
     except FgreconError:
         return None
-    seen = Observation(car.keypoints, marked, box=car.box)
+    observation = Observation(car.keypoints, marked, box=car.box)
     found = np.isfinite(result.camera_T_object).all()
-    return ExampleCar("", car.name, seen, camera, result, car.camera_T_object, car.size, car.shape) if found else None
+    return (
+        ExampleCar("", car.name, observation, camera, result, car.camera_T_object, car.size, car.shape)
+        if found
+        else None
+    )

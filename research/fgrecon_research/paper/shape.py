@@ -324,13 +324,13 @@ def _score_strategy(
 ) -> StrategyScore:
     turns, keypoints, translations = [], [], []
     for view in views:
-        seen, truth = view.observation, view.truth
+        observation, truth = view.observation, view.truth
         try:
             result = reconstruct(
-                seen.keypoints,
+                observation.keypoints,
                 KITTI_CAMERA,
-                confidence=seen.confidence,
-                box=seen.box,
+                confidence=observation.confidence,
+                box=observation.box,
                 prior=prior,
                 ground=ground,
                 size_prior=size,

@@ -94,8 +94,8 @@ def _real_cells(entry: MethodScores) -> tuple[float | None, ...]:
 
 def some_instances(validation: Validation, fleet: Fleet) -> list[SimulatedInstance]:
     """The first simulated instances with a detection."""
-    seen = (i for frame in validation.frames for i in simulate_frame(frame, fleet) if i.observation is not None)
-    return list(islice(seen, _TIMED))
+    observed = (i for frame in validation.frames for i in simulate_frame(frame, fleet) if i.observation is not None)
+    return list(islice(observed, _TIMED))
 
 
 def _times(instances: Sequence[SimulatedInstance], scene: SceneKnowledge, seed: int) -> dict[str, list[float]]:

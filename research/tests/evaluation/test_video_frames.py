@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fgrecon.calibration.labelled_boxes import SYSTEM
-from fgrecon.calibration.labelled_frames import looks_at, reconstruct_frame, score_frames
+from fgrecon.calibration.labelled_frames import frames_to_score, reconstruct_frame, score_frames
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.perception.vehicles import Vehicles
 from fgrecon_research.evaluation.video_tracks import BATCH, ONLINE, follow_boxes
@@ -21,7 +21,7 @@ TOO_SMALL = np.array([10.0, 10.0, 15.0, 17.0])
 
 
 class Found:
-    """Finds the first two cars, the second of them twice, what is no car, and what no network can look into."""
+    """Finds the first two cars, the second of them twice, what is no car, and what no network can vehicle into."""
 
     def __call__(self, image):
         boxes = np.array([NOBODY, BOXES[1] + [0.0, 8.0, 20.0, 0.0], NEAR_FIRST, BOXES[1], TOO_SMALL])
@@ -35,12 +35,12 @@ def detecting(setup):  # noqa: F811
 
 def test_a_label_has_the_box_that_overlaps_it_most(folder, detecting):  # noqa: F811
     (frame,) = read_drive(folder).frames
-    _, looks = reconstruct_frame(replace(frame, usable=np.arange(8) < 4), detecting)
-    assert [(look.label, look.score) for look in looks] == [(1, 0.7), (2, 0.6), (None, 0.9), (None, 0.8)]
-    np.testing.assert_array_equal(looks[0].found.detection.observation.box, NEAR_FIRST)
+    _, vehicles = reconstruct_frame(replace(frame, usable=np.arange(8) < 4), detecting)
+    assert [(vehicle.label, vehicle.score) for vehicle in vehicles] == [(1, 0.7), (2, 0.6), (None, 0.9), (None, 0.8)]
+    np.testing.assert_array_equal(vehicles[0].found.detection.observation.box, NEAR_FIRST)
     hidden = replace(frame.objects, occlusion=np.full(8, 3.0))
-    _, looks = reconstruct_frame(replace(frame, objects=hidden), detecting)
-    assert [look.label for look in looks] == [None] * 4  # of cars that do not count: no other label has them
+    _, vehicles = reconstruct_frame(replace(frame, objects=hidden), detecting)
+    assert [vehicle.label for vehicle in vehicles] == [None] * 4  # of cars that do not count: no other label has them
 
 
 def test_labels_without_a_box_are_counted_and_not_scored(folder, detecting, scene):  # noqa: F811
@@ -55,8 +55,8 @@ def test_labels_without_a_box_are_counted_and_not_scored(folder, detecting, scen
 def test_frames_without_a_label_are_looked_at_where_vehicles_are_detected(folder, setup, detecting):  # noqa: F811
     shutil.copy(folder / "image_02" / "000000.png", folder / "image_02" / "000001.png")
     drive = read_drive(folder)
-    assert [frame.number for frame in looks_at(drive, setup)] == [0]
-    assert [frame.number for frame in looks_at(drive, detecting)] == [0, 1]
+    assert [frame.number for frame in frames_to_score(drive, setup)] == [0]
+    assert [frame.number for frame in frames_to_score(drive, detecting)] == [0, 1]
 
 
 @pytest.mark.parametrize("detected", [False, True])

@@ -210,7 +210,7 @@ def test_spread_is_even_over_views_and_vehicles():
     annotations = Annotations(chair(), keypoints, names, vehicles, views)
     chosen = spread(annotations, 30, np.random.default_rng(0))
     assert len(set(chosen.tolist())) == 30
-    assert annotations.seen[chosen].sum(axis=1).min() >= 8
+    assert annotations.measured[chosen].sum(axis=1).min() >= 8
     assert np.bincount(views[chosen]).tolist() == [15, 15]
     assert np.ptp(np.bincount(vehicles[chosen], minlength=10)) <= 2
     np.testing.assert_array_equal(chosen, spread(annotations, 30, np.random.default_rng(0)))

@@ -69,7 +69,7 @@ def test_a_window_is_the_last_two_frames_and_some_of_seconds(window):
         pose = np.linalg.inv(place) @ upright(0.8, [1.0, 1.65, 20.0])
         tracker.update(0.1 * t, {1: seen(pose, rng)}, camera=CAMERA, ground=1.65, world_T_camera=place)
         vehicle = tracker._tracks[1].vehicle
-        known.append([one.image for one in vehicle.solved.seen])
+        known.append([one.image for one in vehicle.solved.parts])
         for before, frame in zip(vehicle.frames, vehicle.frames[1:], strict=False):
             assert frame.step.seconds == pytest.approx(frame.time - before.time)
             moved = upright(0.002 * before.number, [0.0, 0.0, 0.05 * before.number])

@@ -256,8 +256,8 @@ def _sights(scored: ScoredDrives) -> list[SolvedVehicle]:
     for box in worst_boxes(scored.boxes, _WORST):
         drive = by_name[box.drive]
         frame = next(frame for frame in drive.frames if frame.number == box.frame)
-        image, looks = reconstruct_frame(frame, scored.setups[box.drive])
-        one = next(look.found for look in looks if look.label == box.index)
+        image, vehicles = reconstruct_frame(frame, scored.setups[box.drive])
+        one = next(vehicle.found for vehicle in vehicles if vehicle.label == box.index)
         if one.result is None:
             continue
         labels, offset = frame.objects, drive.calibration.label_offset

@@ -123,8 +123,8 @@ def _draw(results: list[Icra2017Result], out: Path) -> list[Path]:
     """Each image's picture over its photograph, and one of both without, which shows nothing of third parties."""
     paths = []
     for result in results:
-        seen = _sight(result, result.name, photograph=True)
-        drawn = picture(seen)
+        sight = _sight(result, result.name, photograph=True)
+        drawn = picture(sight)
         paths.append(save_picture(out / f"{result.name}.png", drawn))
     bare = [_sight(result, result.name, photograph=False) for result in results]
     paths.append(save_picture(out / "without_photographs.svg", contact_sheet(bare, columns=2)))

@@ -59,21 +59,21 @@ def shape_command(
     models = load_apollo79(data)
     names = shape.held_out(models, cars, seed)
     prior = apollo79_prior(models, exclude=names)
-    seen = shape.simulate_views(models, names, views, seed)
+    simulated = shape.simulate_views(models, names, views, seed)
     screen.detail(f"held out: {', '.join(names)}")
     with screen.bar() as advance:
-        tell = counting(advance, "Views", len(seen))
-        stages = shape.score_shape(seen, prior, ground=ground, advance=lambda: tell(""))
+        tell = counting(advance, "Views", len(simulated))
+        stages = shape.score_shape(simulated, prior, ground=ground, advance=lambda: tell(""))
     document: dict[str, Any] = {
         "format": FORMAT,
         "units": _UNITS,
-        "settings": {"held_out": list(names), "views_per_car": views, "views": len(seen), "seed": seed},
+        "settings": {"held_out": list(names), "views_per_car": views, "views": len(simulated), "seed": seed},
         "stages": _plain(stages),
     }
-    tables = [_stage_table(f"{len(seen)} views of cars held out", stages)]
+    tables = [_stage_table(f"{len(simulated)} views of cars held out", stages)]
     if ablation:
         harder = shape.simulate_views(models, names, views, seed, HARD)
-        numbers, more = _ablated(models, names, prior, seen, harder, seed, ground, screen)
+        numbers, more = _ablated(models, names, prior, simulated, harder, seed, ground, screen)
         document |= numbers
         tables += more
     screen.print(*(table.shown() for table in tables))

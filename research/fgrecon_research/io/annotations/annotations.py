@@ -56,7 +56,7 @@ class Annotations:
         return len(self.keypoints)
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def measured(self) -> NDArray[np.bool_]:
         """(M, K) whether a keypoint was marked."""
         return np.isfinite(self.keypoints[:, :, 0])
 
@@ -87,7 +87,7 @@ def spread(annotations: Annotations, count: int, rng: np.random.Generator, *, mi
     Raises:
         InvalidInputError: There are fewer instances with enough marked keypoints.
     """
-    candidates = np.flatnonzero(annotations.seen.sum(axis=1) >= min_visible)
+    candidates = np.flatnonzero(annotations.measured.sum(axis=1) >= min_visible)
     if not 1 <= count <= len(candidates):
         fix = f"Give 1 to {len(candidates)}, the number of instances with at least {min_visible} marked keypoints."
         raise InvalidInputError("count", count, fix)

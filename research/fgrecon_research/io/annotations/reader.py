@@ -53,7 +53,7 @@ def load_annotations(
         parts.append(read_pascal3d(matlab, category, rename))
     parts += [_SINGLE[file.suffix.lower()](file, category, rename) for file in files if file not in matlab]
     whole = _joined(parts)
-    if not whole.seen.any():
+    if not whole.measured.any():
         fix = f"Give annotations with keypoints of {category.name}: {', '.join(category.keypoints)}."
         raise InvalidInputError(str(files[0]), "no annotated keypoint", fix)
     return whole

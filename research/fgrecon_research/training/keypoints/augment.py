@@ -288,16 +288,16 @@ def _warp(pixels: Pixels, matrix: Array, size: int) -> Pixels:
     return np.asarray(warped, dtype=np.uint8)
 
 
-def _closer(seen: Pixels, centre: Array, extent: float) -> Array | None:
+def _closer(image: Pixels, centre: Array, extent: float) -> Array | None:
     """(2, 3) map from a crop by a whole car's box to one by the box of what is seen, jittered alike."""
-    rows, columns = np.nonzero(seen > 127)
+    rows, columns = np.nonzero(image > 127)
     if not len(rows):
         return None
     low, high = np.array([columns.min(), rows.min()]), np.array([columns.max(), rows.max()])
     share, away = float((high - low).max() + 1) / extent, (low + high) / 2 - centre
     if share < _LEAST_SEEN or (share > 1.0 - _SAME and np.abs(away).max() < _SAME * extent):
         return None
-    scale, middle = max(1.0 / share, 1.0), (len(seen) - 1) / 2
+    scale, middle = max(1.0 / share, 1.0), (len(image) - 1) / 2
     return np.column_stack([scale * np.eye(2), middle - scale * (middle + away)])
 
 

@@ -80,14 +80,14 @@ class Photographs(Views):
         with np.load(folder / _DISTANT, allow_pickle=False) as far:
             # The distant image was made with the shape of that time: labels that have moved since move in it as well.
             moved = far["after"] + far["ratio"][:, None, None] * (keypoints - far["before"])
-            seen = far["visible"]
+            visible = far["visible"]
         return cls(
             images,
             masks,
             np.asarray(sizes),
             np.asarray(scales),
             np.concatenate([keypoints, moved]),
-            np.concatenate([labels.visible, seen]),
+            np.concatenate([labels.visible, visible]),
             np.array(2 * [car.azimuth for car in cars]),
             np.array(2 * [car.kind for car in cars]),
         )

@@ -215,11 +215,11 @@ def corrected(
     keypoints, visible = np.zeros(first.labels.keypoints.shape), np.zeros(known.shape)
     unknown = unmodelled(cars, prior.category)
     for name, rows in progress(list(groups(source.cars).items()), "Shapes of what was found"):
-        seen = Found(found.keypoints[rows], found.confidence[rows], found.covariance[rows])
+        chosen = Found(found.keypoints[rows], found.confidence[rows], found.covariance[rows])
         mine = [first.cars[i] for i in rows]
         given = np.logical_and.reduce(known[rows])
         marks = None if source.marks is None else source.marks[rows]
-        result = relabel_shape(prior, mine, first.fits[name], seen, first.outlined[rows], given, marks)
+        result = relabel_shape(prior, mine, first.fits[name], chosen, first.outlined[rows], given, marks)
         unknown[rows] &= ~result.marked
         fits[name] = result.fit
         trusted[rows], keypoints[rows] = result.trusted, result.keypoints
@@ -282,7 +282,7 @@ def _find(cars: Sequence[PosedCar], detector: KeypointCascade, photographs: Phot
         images = [np.ascontiguousarray(photographs.view(i).image) for i in rows]
         boxes = np.array([[-0.5, -0.5, image.shape[1] - 0.5, image.shape[0] - 0.5] for image in images])
         for i, detection in zip(rows, detector.detect_batch(images, boxes), strict=True):
-            seen, scale = detection.observation, float(photographs.scales[i])
-            keypoints[i], confidence[i] = (seen.keypoints + 0.5) / scale - 0.5, seen.confidence
-            covariance[i] = np.eye(2) if seen.covariance is None else seen.covariance / scale**2
+            observation, scale = detection.observation, float(photographs.scales[i])
+            keypoints[i], confidence[i] = (observation.keypoints + 0.5) / scale - 0.5, observation.confidence
+            covariance[i] = np.eye(2) if observation.covariance is None else observation.covariance / scale**2
     return Found(keypoints, confidence, covariance)

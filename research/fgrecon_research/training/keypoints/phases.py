@@ -223,8 +223,8 @@ def _check(settings: TrainingSettings, phases: Sequence[Phase], data: Path) -> N
     first = phases[0]
     if first.trained is not None:
         load_tensors(first.trained)
-        seen = settings.phases[: settings.phases.index(first) + 1]
-        if settings.without and any(phase.on_street for phase in seen):
+        earlier = settings.phases[: settings.phases.index(first) + 1]
+        if settings.without and any(phase.on_street for phase in earlier):
             fix = "Leave no drive out, or train that phase: nothing says which drives the file has learnt from."
             raise InvalidInputError(f"phase {first.name}: trained", str(first.trained), fix)
     for phase in trained:

@@ -227,8 +227,8 @@ def _photograph_factors(
     result: list[gtsam.NonlinearFactor] = [measured]
     kernel = ProjectionKernel(shape, car.matrix, key)
     if weights.any():
-        seen = factors.reprojection_factor(kernel, points, weights, covariance, _LOSS)
-        result.append(seen)
+        reprojection = factors.reprojection_factor(kernel, points, weights, covariance, _LOSS)
+        result.append(reprojection)
     if np.isfinite(marks).any():
         alike = np.tile((_MARK_SIGMA * max(car.size)) ** 2 * np.eye(2), (len(marks), 1, 1))
         result.append(factors.reprojection_factor(kernel, marks, np.ones(len(marks)), alike, _MARK_LOSS))

@@ -158,7 +158,7 @@ class HeldOut:
             places = (np.stack([column, row], axis=-1) + 0.5) * STRIDE - 0.5
             points = np.array([sample.keypoints for sample in some])
             away = np.linalg.norm(places - points, axis=-1) / (maps.shape[-1] * STRIDE / MARGIN)
-            seen = (np.array([sample.visible for sample in some]) > SEEN) & np.isfinite(away)
-            hits.append((away <= REACH)[seen])
+            visible = (np.array([sample.visible for sample in some]) > SEEN) & np.isfinite(away)
+            hits.append((away <= REACH)[visible])
         found = np.concatenate(hits)
         return float(found.mean()) if len(found) else float("nan")

@@ -46,7 +46,7 @@ class Data:
     """The annotations, ready for use."""
 
     points: Array  # (M, K, 2) image points; unseen ones hold zeros
-    seen: Array  # (M, K) 1.0 where a keypoint was annotated, else 0.0
+    measured: Array  # (M, K) 1.0 where a keypoint was annotated, else 0.0
     importance: Array  # (M,) factor on each instance's log likelihood; ones where all count alike
     # fitted camera parameters that the noise estimate allows for: 6, or 0 for the plain likelihood
     freedom: float = 6.0
@@ -54,7 +54,7 @@ class Data:
     @property
     def keypoints(self) -> float:
         """How many keypoints are annotated, each image counting by its importance."""
-        return float(self.importance @ self.seen.sum(axis=1))
+        return float(self.importance @ self.measured.sum(axis=1))
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def _squared_residuals(data: Data, model: ShapeModel, cameras: Cameras, mean: Ar
         design = _design(model, cameras)  # (M, K * 2, N)
         spread = np.einsum("mrn,mrn->mr", design @ covariance, design)
         squared += spread.reshape(*squared.shape, 2).sum(axis=2)
-    return np.asarray(squared * data.seen)
+    return np.asarray(squared * data.measured)
 
 
 def _design(model: ShapeModel, cameras: Cameras) -> Array:
@@ -117,14 +117,14 @@ def _design(model: ShapeModel, cameras: Cameras) -> Array:
 def _weights(data: Data, squared: Array, variance: float, dof: float | None) -> Array:
     """(M, K) expected precision factors under q(u)."""
     if dof is None:
-        return data.seen
-    return data.seen * (dof + 2.0) / (dof + squared / variance)
+        return data.measured
+    return data.measured * (dof + 2.0) / (dof + squared / variance)
 
 
 def e_step(data: Data, model: ShapeModel, cameras: Cameras, dof: float | None, weight: Array | None) -> Posterior:
     """q(z) for the given weights (one where None), then q(u) for that q(z)."""
     count = model.basis.shape[0]
-    used = data.seen if weight is None else weight
+    used = data.measured if weight is None else weight
     if count:
         design = _design(model, cameras)
         precision = np.repeat(used / model.variance, 2, axis=1)
@@ -147,9 +147,9 @@ def bound(data: Data, model: ShapeModel, cameras: Cameras, posterior: Posterior,
     """(M,) evidence lower bound of each instance (its log likelihood for Gaussian noise after an E-step), nats."""
     relative = posterior.squared / model.variance
     loss = 0.5 * relative if dof is None else (0.5 * dof + 1.0) * np.log1p(relative / dof)
-    pairs = data.seen.sum(axis=1) - 0.5 * data.freedom
+    pairs = data.measured.sum(axis=1) - 0.5 * data.freedom
     total = pairs * (2.0 * np.log(cameras.inverse_scale) - np.log(2.0 * np.pi * model.variance))
-    total -= (loss * data.seen).sum(axis=1)
+    total -= (loss * data.measured).sum(axis=1)
     if model.basis.shape[0]:
         _, log_determinant = np.linalg.slogdet(posterior.covariance)
         trace = np.trace(posterior.covariance, axis1=1, axis2=2)
@@ -170,7 +170,7 @@ def pose_step(data: Data, model: ShapeModel, cameras: Cameras, posterior: Poster
     shapes = expected_shapes(model, posterior.mean)
     centre_p = np.einsum("mk,mki->mi", weight, data.points) / total
     centre_x = np.einsum("mk,mki->mi", weight, shapes) / total
-    p = (data.points - centre_p[:, None]) * data.seen[:, :, None]
+    p = (data.points - centre_p[:, None]) * data.measured[:, :, None]
     x = shapes - centre_x[:, None]
     wp = (weight[:, :, None] * p).transpose(0, 2, 1)
     power = (wp.transpose(0, 2, 1) * p).sum(axis=(1, 2))
@@ -182,7 +182,7 @@ def pose_step(data: Data, model: ShapeModel, cameras: Cameras, posterior: Poster
         spread = (weight @ outer).reshape(-1, count * count, 9)
         square += (posterior.covariance.reshape(-1, 1, count * count) @ spread).reshape(-1, 3, 3)
     slack = np.linalg.eigvalsh(square)[:, -1, None, None] * np.eye(3) - square
-    pairs = data.seen.sum(axis=1) - 0.5 * data.freedom
+    pairs = data.measured.sum(axis=1) - 0.5 * data.freedom
     rotation, scale = cameras.rotation, cameras.inverse_scale
     for _ in range(sweeps):
         rotation = orthonormal_rows(scale[:, None, None] * cross + rotation @ slack)
@@ -246,7 +246,7 @@ def model_step(
     mean, basis, q_mean, q_covariance = _absorb(shapes[0], shapes[1:], posterior, data.importance)
     trial = ShapeModel(mean, basis, model.variance)
     squared = _squared_residuals(data, trial, cameras, q_mean, q_covariance)
-    pairs = data.importance @ (data.seen.sum(axis=1) - 0.5 * data.freedom)
+    pairs = data.importance @ (data.measured.sum(axis=1) - 0.5 * data.freedom)
     variance = max(float((weights * squared).sum() / (2.0 * pairs)), floor)
     return ShapeModel(mean, basis, variance), Posterior(q_mean, q_covariance, posterior.weight, squared)
 
@@ -449,7 +449,10 @@ def _fit(data: Data, model: ShapeModel, cameras: Cameras, dof: float | None, swe
     """Cameras and posterior from a start whose rotation alone means something: first the mean shape, unweighted."""
     count, instances = model.basis.shape[0], len(data.points)
     posterior = Posterior(
-        np.zeros((instances, count)), np.tile(np.eye(count), (instances, 1, 1)), data.seen, np.zeros_like(data.seen)
+        np.zeros((instances, count)),
+        np.tile(np.eye(count), (instances, 1, 1)),
+        data.measured,
+        np.zeros_like(data.measured),
     )
     for sweep in range(sweeps):
         cameras = pose_step(data, model, cameras, posterior)

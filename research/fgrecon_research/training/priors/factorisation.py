@@ -70,13 +70,13 @@ class SymmetricSubspace:
 
 
 def affine_factorisation(
-    points: Array, seen: Array, subspace: SymmetricSubspace, rng: np.random.Generator, iterations: int = 200
+    points: Array, measured: Array, subspace: SymmetricSubspace, rng: np.random.Generator, iterations: int = 200
 ) -> tuple[Array, Array, float]:
     """Shape and affine cameras by alternating least squares from a random start.
 
     Args:
         points: (M, K, 2) image points, each instance centred and scaled to unit size; zeros where unseen.
-        seen: (M, K) 1.0 where annotated, else 0.0.
+        measured: (M, K) 1.0 where annotated, else 0.0.
         subspace: Where the shape lives.
         iterations: Most alternations; it ends early when the error falls by less than 1e-6 of itself.
 
@@ -91,12 +91,12 @@ def affine_factorisation(
     for _ in range(iterations):
         shape = _whiten(shape, subspace)
         homogeneous = np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
-        normal = np.einsum("mk,ki,kj->mij", seen, homogeneous, homogeneous, optimize=True)
+        normal = np.einsum("mk,ki,kj->mij", measured, homogeneous, homogeneous, optimize=True)
         cameras = np.linalg.solve(normal + damping * np.eye(4), np.einsum("ki,mkc->mic", homogeneous, points))
         cameras = cameras.transpose(0, 2, 1)
-        shape = _best_shape(points, seen, cameras, subspace, damping)
+        shape = _best_shape(points, measured, cameras, subspace, damping)
         residual = points - np.einsum("mci,ki->mkc", cameras[:, :, :3], shape) - cameras[:, None, :, 3]
-        previous, error = error, float((np.square(residual).sum(axis=2) * seen).sum() / seen.sum())
+        previous, error = error, float((np.square(residual).sum(axis=2) * measured).sum() / measured.sum())
         if previous - error < 1e-6 * error:
             break
     return shape, cameras[:, :, :3], error
@@ -113,13 +113,13 @@ def _whiten(shape: Array, subspace: SymmetricSubspace) -> Array:
     return subspace.project(centred @ inverse_root)
 
 
-def _best_shape(points: Array, seen: Array, cameras: Array, subspace: SymmetricSubspace, damping: float) -> Array:
+def _best_shape(points: Array, measured: Array, cameras: Array, subspace: SymmetricSubspace, damping: float) -> Array:
     """(K, 3) least-squares shape for affine cameras (M, 2, 4)."""
     linear = cameras[:, :, :3]
     gram = (linear.transpose(0, 2, 1) @ linear).reshape(-1, 9)
-    target = (points - cameras[:, None, :, 3]) @ linear * seen[:, :, None]
+    target = (points - cameras[:, None, :, 3]) @ linear * measured[:, :, None]
     shape = np.zeros((points.shape[1], 3))
-    lhs, rhs = (seen.T @ gram).reshape(-1, 3, 3), target.sum(axis=0)
+    lhs, rhs = (measured.T @ gram).reshape(-1, 3, 3), target.sum(axis=0)
     for orbit in subspace.orbits:
         F, k = orbit.maps, orbit.keypoints
         matrix = np.einsum("pic,pij,pjd->cd", F, lhs[k], F) + damping * np.eye(orbit.size)

@@ -138,8 +138,8 @@ def _nearest_vertex(rays: Sequence[_Ray], camera: Camera, vertices: Array) -> in
     """The vertex of all models (M, V, 3) that the marks are nearest to, on average."""
     cost = np.zeros(vertices.shape[1])
     for ray in rays:
-        seen = vertices[ray.model] @ ray.rotation.T + ray.origin
-        off = np.linalg.norm(camera.project(seen) - ray.pixel, axis=1) * seen[:, 2] / camera.matrix[0, 0]
+        in_camera = vertices[ray.model] @ ray.rotation.T + ray.origin
+        off = np.linalg.norm(camera.project(in_camera) - ray.pixel, axis=1) * in_camera[:, 2] / camera.matrix[0, 0]
         cost += np.minimum(off, _CAP)
     return int(cost.argmin())
 
@@ -147,10 +147,10 @@ def _nearest_vertex(rays: Sequence[_Ray], camera: Camera, vertices: Array) -> in
 def _residuals(rays: Sequence[_Ray], camera: Camera, points: Array) -> tuple[Array, Array]:
     """Derivatives (N, 2, 3) of the marks by their points, and residuals (N, 2), in metres at the points' distance."""
     rotations = np.array([ray.rotation for ray in rays])
-    seen = np.array([ray.rotation @ points[ray.model] + ray.origin for ray in rays])
-    scale = seen[:, 2] / camera.matrix[0, 0]
-    jacobian = pixel_jacobian(camera.matrix, seen) @ rotations
-    away = np.array([ray.pixel for ray in rays]) - camera.project(seen)
+    in_camera = np.array([ray.rotation @ points[ray.model] + ray.origin for ray in rays])
+    scale = in_camera[:, 2] / camera.matrix[0, 0]
+    jacobian = pixel_jacobian(camera.matrix, in_camera) @ rotations
+    away = np.array([ray.pixel for ray in rays]) - camera.project(in_camera)
     return scale[:, None, None] * jacobian, scale[:, None] * away
 
 

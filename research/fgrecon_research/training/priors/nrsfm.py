@@ -245,30 +245,30 @@ def _prepare(
     category: Category, points: Array, options: NrsfmOptions, views: ArrayLike | None
 ) -> tuple[NDArray[np.bool_], Data, Array, Array]:
     """The images to use, each centred and scaled to unit size, with the centres (M', 2) and sizes (M',)."""
-    seen = np.asarray(np.isfinite(points).all(axis=2))
+    measured = np.asarray(np.isfinite(points).all(axis=2))
     if np.isinf(points).any():
         instance, keypoint, _ = np.argwhere(np.isinf(points))[0]
         name = category.keypoints[keypoint]
         raise InvalidInputError(
             f"keypoints[{instance}] {name}", "an infinite pixel", "Give finite pixels, or NaN where not seen."
         )
-    count = seen.sum(axis=1)
-    filled = np.where(seen[:, :, None], points, 0.0)
+    count = measured.sum(axis=1)
+    filled = np.where(measured[:, :, None], points, 0.0)
     centre = filled.sum(axis=1) / np.maximum(count, 1)[:, None]
-    centred = (filled - centre[:, None]) * seen[:, :, None]
+    centred = (filled - centre[:, None]) * measured[:, :, None]
     size = np.sqrt(np.square(centred).sum(axis=(1, 2)) / np.maximum(count, 1))
     used = (count >= options.min_visible) & (size > 0)
     least = options.basis + 2
     if used.sum() < least:
         fix = f"Give at least {least} images, or lower options.min_visible ({options.min_visible})."
         raise DegenerateProblemError("keypoints", f"{used.sum()} images with enough seen keypoints", fix)
-    rare = seen[used].sum(axis=0) < 2
+    rare = measured[used].sum(axis=0) < 2
     if rare.any():
         names = ", ".join(np.array(category.keypoints)[rare])
         raise DegenerateProblemError("keypoints", f"{names}: seen in fewer than two images", "Annotate more of them.")
     data = Data(
         centred[used] / size[used, None, None],
-        seen[used].astype(np.float64),
+        measured[used].astype(np.float64),
         _importance(views, used),
         6.0 if options.restricted else 0.0,
     )
@@ -313,7 +313,9 @@ class _Learner:
         if len(data.points) > options.start_images:
             chance = data.importance / data.importance.sum()
             chosen = np.sort(rng.choice(len(chance), options.start_images, replace=False, p=chance))
-            part = replace(data, points=data.points[chosen], seen=data.seen[chosen], importance=np.ones(len(chosen)))
+            part = replace(
+                data, points=data.points[chosen], measured=data.measured[chosen], importance=np.ones(len(chosen))
+            )
         nearness = 0.0
         if options.perspective:
             part, nearness = self._straightened(part, rng)
@@ -391,7 +393,7 @@ class _Learner:
     def _rigid_start(self, data: Data, rng: np.random.Generator) -> EmState:
         best: tuple[float, Array, Array] | None = None
         for _ in range(_FACTORISATIONS):
-            shape, affine, error = affine_factorisation(data.points, data.seen, self.subspace, rng)
+            shape, affine, error = affine_factorisation(data.points, data.measured, self.subspace, rng)
             upgraded = metric_upgrade(shape, affine, self.subspace)
             if upgraded is not None and (best is None or error < best[0]):
                 best = (error, *upgraded)
@@ -453,7 +455,7 @@ def _result(
     coefficients = posterior.mean @ turn
     change = np.tensordot(basis, category.dimension_operator, axes=([1, 2], [1, 2]))
     signs = np.array([np.sign(row[np.abs(row).argmax()]) or 1.0 for row in change])
-    weighted = ((posterior.weight * posterior.squared).T @ data.importance) / (data.seen.T @ data.importance)
+    weighted = ((posterior.weight * posterior.squared).T @ data.importance) / (data.measured.T @ data.importance)
     total = float((posterior.weight * posterior.squared).sum(axis=1) @ data.importance)
     share = total / data.keypoints
     inverse_scale = cameras.inverse_scale / size

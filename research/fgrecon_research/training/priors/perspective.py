@@ -58,7 +58,7 @@ def without_perspective(data: Data, state: EmState, handedness: float, nearness:
     centre = centre / state.cameras.inverse_scale[:, None]
     factor = np.maximum(1.0 + nearness * depth, _LEAST_FACTOR)[:, :, None]
     moved = centre[:, None] + factor * (data.points - centre[:, None])
-    return replace(data, points=moved * data.seen[:, :, None])
+    return replace(data, points=moved * data.measured[:, :, None])
 
 
 def draw_nearer(points: Array, shapes: Array, rotation: Array, nearness: float) -> Array:
