@@ -190,7 +190,7 @@ def test_boxes_that_are_given_have_a_class_as_well(monkeypatch):
     detector = NanodetVehicleDetector(runtime="opencv")
     boxes = np.array([[10.0, 10, 50, 40], [12.0, 10, 50, 40], [80.0, 10, 120, 40]])
     numbers = np.array([[1.0, -9, -9, -3], [0.0, -9, -9, 1], [-1.0, -9, -9, 3]])
-    monkeypatch.setattr(detector, "_look", lambda *_: (boxes, np.array([0.4, 0.2, 0.05]), numbers))
+    monkeypatch.setattr(detector, "_detect", lambda *_: (boxes, np.array([0.4, 0.2, 0.05]), numbers))
     image, given = np.zeros((60, 200, 3), np.uint8), np.array([[10.0, 10, 50, 40], [81.0, 10, 120, 40], [0.0, 0, 5, 5]])
     first, second, none = detector.class_numbers(image, given)
     weights = np.array([0.4, 0.2 * 38.0 / 40.0])
