@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.core.text import markdown_row
+from fgrecon.io.export.losses import LACKS
 
 DOCS = Path(__file__).parent
 TABLES = {
@@ -41,6 +42,15 @@ def table(name: str) -> str:
     return f"<!-- Made by `python docs/fields.py`. -->\n\n{''.join(rows)}"
 
 
+def exports() -> str:
+    """The table of what kinds of files have no place for."""
+    rows = [(kind, ", ".join(parts)) for kind, parts in LACKS.items() if parts]
+    found = [markdown_row([f"`{kind}`", parts]) for kind, parts in rows]
+    head = [markdown_row(["`--format`", "not written"]), "|---|---|\n"]
+    return f"<!-- Made by `python docs/fields.py`. -->\n\n{''.join([*head, *found])}"
+
+
 if __name__ == "__main__":
+    (DOCS / "reference/fields/exports.md").write_text(exports(), encoding="utf-8")
     for name in TABLES:
         (DOCS / f"reference/fields/{name}.md").write_text(table(name), encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,7 @@ from typing import Annotated
 import typer
 
 from fgrecon.cli.options import PRIORS, fitting_names
+from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Verbosity
 from fgrecon.core.text import counted
 
@@ -75,6 +77,10 @@ def export_command(
     ],
     options: ExportOptions,
     terminal: Verbosity,
+    json_out: Annotated[
+        str | None,
+        typer.Option("--json", metavar="FILE", help="Write what OUT has no place for as JSON; - for the output."),
+    ] = None,
 ) -> None:
     """Write results for other programs; the ending of OUT, or --format, chooses the kind of file.
 
@@ -84,7 +90,7 @@ def export_command(
     scalabel, labelme, Supervisely, datumaro or FiftyOne. XML: CVAT. FEATHER: Argoverse 2's detections.
     MCAP: Foxglove's scenes, or ROS 2's Detection3DArray, under an upright frame `map`; or with rviz's markers and
     Foxglove's scenes in a copy of the bag that a run was on (ros2).
-    --verbose names the vehicles.
+    What the kind of file has no place for is a warning. --verbose names the vehicles.
 
     Of a video's run JSON, FEATHER, MCAP and the camera's path are made; its folder has tables already.
     """
@@ -92,11 +98,13 @@ def export_command(
     from fgrecon.io.export import export, read_images_file, read_results, read_video_frames
     from fgrecon.io.export.bag_copy import export_into_bag
     from fgrecon.io.export.formats import check_format
+    from fgrecon.io.export.losses import loss_warning, not_written
     from fgrecon.io.export.video_frames import check_video_format, frames_file
     from fgrecon.io.files import check_output
 
-    check_format(out, options.kind)
+    kind = check_format(out, options.kind)
     check_output(out)
+    check_outputs(json_out)
     images_known = None if options.images is None else read_images_file(options.images)
     if (frames := frames_file(results)) is not None:
         check_video_format(out, options.kind)
@@ -111,8 +119,12 @@ def export_command(
         export_into_bag(out, found, images_known or {}, options.images)
     else:
         export(out, found, options.kind, images_known)
-    screen = terminal.screen()
+    screen, lost = terminal.screen(json_out), not_written(kind, found)
     for vehicle in found:
         screen.detail(f"{vehicle.name}: {vehicle.result.status.value}")
     screen.print(f"{counted(len(found), 'vehicle')}.")
+    if lost:
+        screen.warn(loss_warning(kind, lost))
     screen.wrote(out)
+    about = {"format": "fgrecon.export/1", "file": str(out), "kind": kind, "vehicles": len(found)}
+    screen.write_json(json.dumps({**about, "not_written": lost}, indent=1) + "\n")

@@ -47,6 +47,11 @@ def test_results_of_a_track_are_exported(write, drive, tmp_path):
     assert done.exit_code == 0
     assert done.stdout.startswith("3 vehicles.\nWrote ")
     assert len((tmp_path / "cars.csv").read_text().splitlines()) == 4
+    assert "csv has no place for this, which is not written: lean to the side or ahead (3 vehicles)" in done.stderr
+    done = run("export", out, tmp_path / "cars.json", "--format", "openlabel", "--json", "-")
+    about = json.loads(done.stdout)
+    assert (about["kind"], about["vehicles"], about["not_written"]) == ("openlabel", 3, {"uncertainty": 3})
+    assert "uncertainty (3 vehicles)" in done.stderr
 
 
 def test_tracks_and_ids_of_one_name_are_distinguished(drive, tmp_path):

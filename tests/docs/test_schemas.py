@@ -51,6 +51,8 @@ def test_the_tables_of_fields_are_what_the_script_makes():
     for name in made["TABLES"]:
         page = REPOSITORY / f"docs/reference/fields/{name}.md"
         assert page.read_text(encoding="utf-8") == made["table"](name), "run `python docs/fields.py`"
+    page = REPOSITORY / "docs/reference/fields/exports.md"
+    assert page.read_text(encoding="utf-8") == made["exports"](), "run `python docs/fields.py`"
 
 
 def test_the_example_of_the_page(example):

@@ -24,7 +24,8 @@ from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
-from fgrecon.io.export.image_info import ImageInfo, by_image, image_box, info_of, keypoint_names, score
+from fgrecon.core.lens import OPENCV
+from fgrecon.io.export.image_info import ImageInfo, by_image, image_box, info_of, keypoint_names, score, track_of
 from fgrecon.io.export.results import NamedResult
 
 Array = NDArray[np.float64]
@@ -167,7 +168,7 @@ def _scalabel_label(item: NamedResult) -> dict[str, Any]:
     names = keypoint_names(item)
     edges = [{"source": names[a], "target": names[b]} for a, b in result.shape.edges.tolist()]
     return {
-        "id": item.name,
+        "id": track_of(item),
         "category": item.kind or "Car",
         "score": score(item),
         "poly2d": None,
@@ -185,7 +186,7 @@ def _scalabel_label(item: NamedResult) -> dict[str, Any]:
 
 def _intrinsics(items: Sequence[NamedResult]) -> dict[str, Any] | None:
     camera = _camera(items)
-    if camera is None:
+    if camera is None or (camera.distortion is not None and camera.distortion_model != OPENCV):
         return None
     (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
     k1, k2, p1, p2, k3 = [*([] if camera.distortion is None else camera.distortion.tolist()), *[0.0] * 5][:5]

@@ -70,7 +70,7 @@ _ENDINGS: dict[str, tuple[str, ...]] = {
 _PLAIN = {"txt": "kitti"}
 """What is meant by an ending alone that stands for several kinds."""
 
-_OF_FRAMES = frozenset(["tum", "kitti_poses"])
+OF_FRAMES = frozenset(["tum", "kitti_poses"])
 """Kinds that are about the images alone: they need no vehicle."""
 
 FORMATS = tuple(_ENDINGS)
@@ -123,7 +123,7 @@ def export(
         MissingPackageError: A package for MCAP is not installed.
     """
     check_ending(path, FORMATS)
-    chosen = check_format(path, kind) if results or kind in _OF_FRAMES else None
+    chosen = check_format(path, kind) if results or kind in OF_FRAMES else None
     if chosen is None:
         raise InvalidInputError("results", "none", "Give at least one reconstructed vehicle.")
     known = images or {}

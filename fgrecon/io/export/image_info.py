@@ -174,6 +174,11 @@ def score(item: NamedResult) -> float:
     return float(item.result.diagnostics.weights[visible].mean()) if visible.any() else 0.0
 
 
+def track_of(item: NamedResult) -> str:
+    """What it is called through the images: its track, else its name."""
+    return item.name if item.track is None else str(item.track)
+
+
 def image_box(item: NamedResult) -> Array:
     """(4,) x1, y1, x2, y2 of a vehicle in its image, pixels.
 

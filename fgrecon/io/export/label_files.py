@@ -91,8 +91,10 @@ def datumaro_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo
         for group, item in enumerate(items, start=1):
             low, high = image_box(item).reshape(2, 2)
             points = keypoints_of(item)
+            told = {"score": float(score(item))} | ({} if item.track is None else {"track_id": item.track})
             shared = {"label_id": kinds.index(_kind(item)), "group": group, "attributes": {}, "z_order": 0}
-            shapes.append({"type": "bbox", "bbox": [*low.tolist(), *(high - low).tolist()], **shared})
+            box = [*low.tolist(), *(high - low).tolist()]
+            shapes.append({"type": "bbox", "bbox": box, **shared, "attributes": told})
             pixels = [value for _, uv, _ in points for value in uv.tolist()]
             visible = [2 if seen else 1 for _, _, seen in points]
             shapes.append({"type": "points", "points": pixels, "visibility": visible, **shared})
@@ -119,7 +121,8 @@ def fiftyone_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo
     for name, items in by_image(results).items():
         size = known_size(name, items)
         boxes, points, cuboids = [], [], []
-        for index, item in enumerate(items):
+        for number, item in enumerate(items):
+            index = number if item.track is None else item.track
             low, high = image_box(item).reshape(2, 2) / size
             shared = {"label": _kind(item), "index": index, "tags": [], "attributes": {}}
             box = [*low.tolist(), *(high - low).tolist()]

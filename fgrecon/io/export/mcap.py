@@ -244,6 +244,7 @@ def _entity(item: NamedResult, moment: _Moment, rest: str) -> dict[str, Any]:
     line = {"type": _LINE_LIST, "pose": _STILL, "thickness": 2.0, "scale_invariant": True}
     text = {"billboard": True, "font_size": 12.0, "scale_invariant": True, "text": item.name}
     content = {"status": result.status.value, "message": result.message, "score": f"{score(item):.3f}"}
+    content |= {name: str(one) for name, one in (("class", item.kind), ("track", item.track)) if one is not None}
     return {
         "timestamp": _time(moment.time, rest),
         "frame_id": moment.frame,
@@ -314,7 +315,7 @@ def _detection(item: NamedResult, info: ImageInfo, header: dict[str, Any]) -> di
     shares = score(item) * _probabilities(result)
     hypotheses = [
         {
-            "hypothesis": {"class_id": _CAR, "score": float(share)},
+            "hypothesis": {"class_id": (item.kind or _CAR).lower(), "score": float(share)},
             "pose": {
                 "pose": _pose(info, pose, result.box_size),
                 "covariance": (known if number == 0 else np.zeros((6, 6))).ravel().tolist(),

@@ -89,12 +89,13 @@ def _data(item: NamedResult, info: ImageInfo) -> dict[str, Any]:
         }
         for name, pixel, seen in zip(keypoint_names(item), result.pose.wireframe_uv.tolist(), visible, strict=True)
     ]
+    told = {"confidence": float(score(item))} | ({} if item.track is None else {"track": item.track})
     box = [*((low + high) / 2.0).tolist(), *(high - low).tolist()]
     return {
         "cuboid": [{"name": "shape3D", "val": cuboid, "coordinate_system": system}],
         "bbox": [{"name": "shape", "val": box, "coordinate_system": CAMERA}],
         "point2d": points,
-        "num": [{"name": "confidence", "val": float(score(item))}],
+        "num": [{"name": name, "val": value} for name, value in told.items()],
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, image_box, info_of, quaternion, score
+from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, image_box, info_of, quaternion, score, track_of
 from fgrecon.io.export.label_files import one_image
 from fgrecon.io.export.results import NamedResult
 
@@ -43,7 +43,7 @@ def nuscenes_tracking_text(results: Sequence[NamedResult], images: Mapping[str, 
     """
 
     def entry(item: NamedResult) -> dict[str, Any]:
-        return {"tracking_id": item.name, "tracking_name": "car", "tracking_score": float(score(item))}
+        return {"tracking_id": track_of(item), "tracking_name": "car", "tracking_score": float(score(item))}
 
     return _nuscenes(results, images, entry)
 
@@ -93,7 +93,7 @@ def argoverse2_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageI
         times = {"timestamp_ns": int(info.sample_token or 0), "log_id": info.sequence}
         box = dict(zip(("tx_m", "ty_m", "tz_m"), place.tolist(), strict=True))
         box |= dict(zip(("length_m", "width_m", "height_m"), item.result.box_size.tolist(), strict=True))
-        what = {"category": "REGULAR_VEHICLE", "track_uuid": item.name, "score": float(score(item))}
+        what = {"category": "REGULAR_VEHICLE", "track_uuid": track_of(item), "score": float(score(item))}
         rows.append(box | {"qw": w, "qx": x, "qy": y, "qz": z} | what | times)
     if not rows:
         raise InvalidInputError("results", "no vehicle of a sweep", "Give results of images that show labelled sweeps.")
