@@ -100,13 +100,17 @@ def guarded_factor(
         numbers that are not finite.
 
     Raises:
-        InvalidInputError: There are no keys, one is repeated, `dims` does not match them, or the noise model has
-            another dimension.
+        InvalidInputError: There are no keys, one is repeated, `dims` does not match them, the noise model has another
+            dimension, or the callback is no function.
     """
     if not keys or len(set(keys)) != len(keys):
         raise InvalidInputError(f"{name}.keys", [key_name(k) for k in keys], "Give at least one key, each once.")
     if len(dims) != len(keys) or min(dims) < 1 or rows < 1:
         raise InvalidInputError(f"{name}.dims", (tuple(dims), rows), "Give one positive dimension per key.")
+    given: object = callback
+    if not callable(given):
+        fix = "Give a function of the values, and of whether the Jacobian is wanted."
+        raise InvalidInputError(f"{name}.callback", given, fix)
     blocks = tuple(slice(a, b) for a, b in pairwise(accumulate(dims, initial=0)))
     guard = _Guard(name, callback, (rows,), (rows, sum(dims)), blocks, len(blocks) == 1, allow_infinite)
     model = as_noise(name, noise, rows)

@@ -24,7 +24,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from factors.keys import F, L, S, X
+from factors.keys import F, S, decode_key
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_list
@@ -40,7 +40,7 @@ from fgrecon.solve.box_check import boxes_off, boxes_warning
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.focal import candidates, distinct_lengths, energies_of, focal_prior, log_ratio, starts
 from fgrecon.solve.graph.covariance import covariance_of, undetermined
-from fgrecon.solve.graph.graph import Graph, GraphObservation, State
+from fgrecon.solve.graph.graph import EXTRA, Graph, GraphObservation, State
 from fgrecon.solve.graph.multi_start import MultiStartResult, SolvedStage
 from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle_part import fleet_prior, is_any_fleets
@@ -57,6 +57,11 @@ from fgrecon.solve.vehicle.model import prepare
 from fgrecon.solve.weakness import unknown_focal
 
 Array = NDArray[np.float64]
+
+_OF_VEHICLE = "XLOPM"
+_NOT_IN_IT = (
+    "factors of yours (`extra_factors`) on it are left out: with them the graph has no minimum, or leaves it open"
+)
 
 
 @single_threaded
@@ -90,7 +95,8 @@ def reconstruct_scene(
         evidence: What other sensors say of all vehicles, such as `fgrecon.Points` of a scan; what they say of one alone
             is given with its `Observation`.
         extra_factors: The caller's own factors on the poses X(v, 0) and lambdas L(v), v the number of the observation,
-            and the ground G(0); those on a vehicle that is refused are left out. See `fgrecon.reconstruct`.
+            and the ground G(0); those on a vehicle that is refused are left out. Where they have no solution, what they
+            are on is `weak` without them. See `fgrecon.reconstruct`.
 
     Returns:
         The scene. Vehicles that determine no pose are in `refused`. Where fewer than two were solved there is nothing
@@ -171,6 +177,15 @@ class _Images:
         """The image of each vehicle, by its number."""
         return [image for image, some in enumerate(self.vehicles) for _ in some]
 
+    def extra_without(self, left_out: Collection[int]) -> list[gtsam.NonlinearFactor]:
+        """The caller's factors but those on some vehicles."""
+        return [factor for factor in self.extra if _vehicles_of(factor).isdisjoint(left_out)]
+
+
+def _vehicles_of(factor: gtsam.NonlinearFactor) -> set[int]:
+    """The numbers of the vehicles that a factor is on."""
+    return {key.vehicle for key in map(decode_key, factor.keys()) if key.letter in _OF_VEHICLE}
+
 
 @dataclass(frozen=True)
 class _JointSolve:
@@ -181,6 +196,7 @@ class _JointSolve:
     graph: Graph
     optimum: Optimum
     extra: list[gtsam.NonlinearFactor]
+    own: list[gtsam.NonlinearFactor]  # those of them that are the caller's
     standing: dict[int, ImageGround]
 
     @property
@@ -229,6 +245,7 @@ def _reconstruct(images: _Images, boxes: Sequence[KnownBox | None] | None = None
     vehicles = scene.independent.vehicles
     each = scene.results | {n: _result(one.converged()) for n, one in vehicles.items() if n not in scene.results}
     each = {n: with_mirrored_gain(one, vehicles[n].problem) for n, one in each.items()}
+    each = _weakened_where_left_out(each, images, scene)
     margin = setup.options.ambiguity_margin
     status, warnings = unknown_focal(scene.camera.focal_sigma, scene.focal_lengths, margin)
     each = {number: weakened(one, warnings, status) for number, one in each.items()}
@@ -238,6 +255,17 @@ def _reconstruct(images: _Images, boxes: Sequence[KnownBox | None] | None = None
     warn_of(input_warnings, stacklevel=4)
     milliseconds = {"alone": (begun - started) * 1e3, "together": (perf_counter() - begun) * 1e3}
     return [_scene_of_image(image, images, scene, each, milliseconds) for image in range(len(images.vehicles))]
+
+
+def _weakened_where_left_out(
+    each: dict[int, Reconstruction], images: _Images, scene: _Estimate
+) -> dict[int, Reconstruction]:
+    """The results, weak where factors of the caller's on solved vehicles could not be used."""
+    alone = scene.independent.solved.keys() - scene.results.keys()
+    usable = images.extra_without(images.numbers - scene.independent.solved.keys())
+    about = [_vehicles_of(factor) for factor in usable]
+    missing = set[int]().union(*(some for some in about if not some.isdisjoint(alone)))
+    return {n: weakened(one, (_NOT_IN_IT,)) if n in missing else one for n, one in each.items()}
 
 
 def _scene_of_image(
@@ -325,12 +353,13 @@ def _solve_jointly(independent: IndependentSolve, images: _Images, out: Collecti
         weights=[state.weights[0] for state in states],
         others=others,
     )
-    left_out = {X(n, 0) for n in images.numbers - solved.keys()} | {L(n) for n in images.numbers - solved.keys()}
-    own = [factor for factor in images.extra if left_out.isdisjoint(factor.keys())]
+    own = images.extra_without(images.numbers - solved.keys())
     extra = [*(contact for one in standing.values() for contact in one.contacts.values()), *priors, *own]
     graph = Graph(parts, state, pose_free=True, extra=extra)
     optimum = optimise(graph, state, steady=SCENE.joint_visibility_step)
-    return None if optimum.failure is not None else _JointSolve(independent, parts, graph, optimum, extra, standing)
+    if optimum.failure is not None:
+        return None
+    return _JointSolve(independent, parts, graph, optimum, extra, own, standing)
 
 
 def _standing(solved: dict[int, IndependentVehicle], images: _Images) -> dict[int, ImageGround]:
@@ -392,4 +421,10 @@ def _vehicles(best: _JointSolve, marginalised: Marginalised) -> dict[int, Recons
             energies = {**diagnostics.energies, "ground": float(contact.error(values))}
             result = replace(each[number], diagnostics=replace(diagnostics, energies=energies))
             each[number] = weakened(result, one_ground.off_ground(result, solved[number].problem.ground, values))
+    for factor in best.own:
+        for number in _vehicles_of(factor):
+            diagnostics = each[number].diagnostics
+            energy = diagnostics.energies.get(EXTRA, 0.0) + factor.error(values)
+            diagnostics = replace(diagnostics, energies={**diagnostics.energies, EXTRA: energy})
+            each[number] = replace(each[number], diagnostics=diagnostics)
     return each

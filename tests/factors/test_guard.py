@@ -142,6 +142,11 @@ def test_construction_is_checked(keys, dims, noise):
         guarded_factor("test factor", noise, keys, dims, 2, Returns(R, J))
 
 
+def test_a_callback_is_a_function():
+    with pytest.raises(InvalidInputError, match=r"^test factor\.callback: got None"):
+        guarded_factor("test factor", 1.0, [1], [1], 1, None)
+
+
 def test_no_leak(values):
     """Neither callbacks nor factors outlive their graph, without help of the garbage collector."""
     gc.collect()

@@ -13,6 +13,7 @@ import fgrecon
 from factors import L, O, X, guarded_factor
 from fgrecon.core.errors import FactorCallbackError, InvalidInputError
 from fgrecon.io.catalogue import load_prior
+from fgrecon.simulation import KITTI_CAMERA, Vehicle, simulate
 from fgrecon.solve.graph.graph import Graph
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.track import reconstruct_track
@@ -289,3 +290,68 @@ def test_the_same_in_a_track_of_one_image(seen):
     track = fgrecon.reconstruct_track([seen], CAMERA, extra_factors=[factor])
     np.testing.assert_allclose(track.frames[0].camera_T_object, alone.camera_T_object, atol=1e-9)
     assert track.energies == pytest.approx(alone.diagnostics.energies, abs=1e-9)
+
+
+def test_a_jacobian_that_does_not_fit_the_variables_is_refused(seen):
+    """GTSAM would compute something: `dims` says what the callback returns, and here not what the variable has."""
+    seven = guarded_factor("seven", 1.0, [X(0, 0)], [7], 1, lambda *_: (np.zeros(1), np.ones((1, 7))))
+    with pytest.raises(
+        InvalidInputError, match=r"^extra_factors\[1\]: got a Jacobian of 7 columns.* 6: X\(v=0,t=0\) 6\."
+    ):
+        reconstruct(seen, CAMERA, extra_factors=[distance(10.0, 1.0), seven])
+
+
+@pytest.fixture(scope="module")
+def street():
+    """Two cars of an image."""
+    prior = load_prior("car14")
+    return [observe(prior, yaw_pose(yaw, (x, 1.65, 15.0)), noise=2.0) for yaw, x in ((0.7, -3.0), (-2.3, 3.0))]
+
+
+def test_a_scene_has_their_energies_with_the_vehicles_that_they_are_on(street):
+    apart = gtsam.BetweenFactorPose3(X(0, 0), X(1, 0), gtsam.Pose3(), isotropic(6, 100.0))
+    scene = fgrecon.reconstruct_scene(street, CAMERA, extra_factors=[distance(15.0, 0.1), apart])
+    poses = [gtsam.Pose3(one.camera_T_object) for one in scene.vehicles]
+    values = gtsam.Values()
+    for number, pose in enumerate(poses):
+        values.insert(X(number, 0), pose)
+    both, first = apart.error(values), distance(15.0, 0.1).error(values)
+    energies = [one.diagnostics.energies["extra"] for one in scene.vehicles]
+    np.testing.assert_allclose(energies, [both + first, both], rtol=1e-9)
+
+
+def impossible(_values, _):
+    return np.array([np.inf]), np.zeros((1, 6))
+
+
+@pytest.mark.parametrize(
+    "factor",
+    [
+        guarded_factor("never", 0.1, [X(0, 0)], [6], 1, impossible, allow_infinite=True),
+        distance(80.0, 0.1),
+    ],
+    ids=["no energy", "another place"],
+)
+def test_vehicles_of_a_scene_whose_factors_have_no_solution_are_weak_without_them(factor):
+    prior, places = load_prior("car14"), ((5, (4.0, 1.65, 25.0)), (6, (-3.0, 1.65, 20.0)))
+    rngs = [(np.random.default_rng(seed), place) for seed, place in places]
+    two = [simulate(Vehicle.sample(prior, rng), KITTI_CAMERA, yaw_pose(1.9, place), rng)[0] for rng, place in rngs]
+    plain = fgrecon.reconstruct_scene(two, KITTI_CAMERA)
+    scene = fgrecon.reconstruct_scene(two, KITTI_CAMERA, extra_factors=[factor])
+    assert [one.status.value for one in plain.vehicles] == ["converged", "converged"]
+    assert [one.status.value for one in scene.vehicles] == ["weak", "converged"]
+    assert any("extra_factors" in reason for reason in scene.vehicles[0].reasons)
+
+
+def test_all_that_is_on_a_refused_vehicle_is_left_out(street):
+    factor = guarded_factor("o", 1.0, [O(1)], [42], 1, lambda *_: (np.zeros(1), np.zeros((1, 42))))
+    scene = fgrecon.reconstruct_scene([street[0], np.full((14, 2), np.nan)], CAMERA, extra_factors=[factor])
+    assert (scene.numbers, scene.vehicles[0].status.value) == ((0,), "converged")
+
+
+@pytest.mark.parametrize("made", [None, distance(10.0, 1.0), [3]], ids=["None", "a factor", "numbers"])
+def test_what_a_tracker_gets_is_a_sequence_of_factors(made, drive):
+    tracker = fgrecon.Tracker(motion_factors=lambda *_: made)
+    tracker.update(0.0, {7: drive[1][0]}, camera=CAMERA)
+    tracker.update(0.1, {7: drive[1][2]}, camera=CAMERA)
+    assert tracker.refused[7].field.startswith("motion_factors")

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors import check_in_front
+from factors.guard import CompiledFactor
 from factors.keys import F, S, key_name
 from factors.mixture import Form
 from factors.sensed import SensedFactor
@@ -399,11 +400,23 @@ class Graph:
         return total | self.own_energies(values)
 
 
+def _check_columns(number: int, factor: gtsam.CustomFactor, values: gtsam.Values) -> None:
+    """Refuse a Jacobian of other columns than its variables have dimensions, with which GTSAM computes something."""
+    linear = factor.linearize(values)
+    dims = values.dims()
+    keys = list(factor.keys())
+    wanted, columns = sum(dims[key] for key in keys), linear.jacobian()[0].shape[1]
+    if columns != wanted:
+        named = ", ".join(f"{key_name(key)} {dims[key]}" for key in keys)
+        fix = f"Give as many as its variables have dimensions, {wanted}: {named}."
+        raise InvalidInputError(f"extra_factors[{number}]", f"a Jacobian of {columns} columns", fix)
+
+
 def _check_extra(factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values) -> None:
     """Refuse a caller's own factors that do not fit the variables at these values.
 
     Raises:
-        InvalidInputError: A key is no variable's, or a factor of GTSAM's is of another type or size than its variable.
+        InvalidInputError: A key is no variable's, or a factor is of another type or size than its variables.
     """
     known = set(values.keys())
     if unknown := {key for factor in factors for key in list(factor.keys())} - known:
@@ -412,6 +425,8 @@ def _check_extra(factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values)
         raise InvalidInputError("extra_factors", f"variables {names}", fix)
     for number, factor in enumerate(factors):
         if isinstance(factor, gtsam.CustomFactor):  # a callback's errors are the caller's own
+            if not isinstance(factor, CompiledFactor):
+                _check_columns(number, factor, values)
             continue
         try:
             factor.linearize(values)

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from factors.keys import V, X, decode_key
 from factors.vehicle_range import range_rate_factor
 from fgrecon.core.category import MotionModel
+from fgrecon.core.checks import as_list
 from fgrecon.core.evidence import RangeRate
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.solve.graph.covariance import Spread, joint_covariance, marginals_of
@@ -228,7 +229,8 @@ def _motion_factors(
     found += _range_rates(frames, over_world)
     for before, frame in pairwise(frames):
         if extra is not None and frame.step is not None:
-            found += extra(before.number, frame.number, frame.step.seconds, motion_share**-0.5)
+            own = extra(before.number, frame.number, frame.step.seconds, motion_share**-0.5)
+            found += as_list("motion_factors", own, gtsam.NonlinearFactor)
     return found
 
 
