@@ -17,10 +17,12 @@ from fgrecon.cli.terminal import Verbosity, compact_table
 from fgrecon.core.text import whole_text
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from collections.abc import Mapping
+
     from rich.table import Table
 
     from fgrecon.cli.terminal import Screen
-    from fgrecon.viz.replay import Replay
+    from fgrecon.viz.replay import Replay, Series
 
 _WEB_PORT = 9090
 
@@ -94,7 +96,12 @@ def _print(content: Replay, screen: Screen) -> None:
         _print(vehicle, screen)
     if content.vehicles:
         screen.print(f"All {len(content.vehicles)} vehicles:")
-    screen.print(_table(content))
+    if plots := _of_video(content):
+        screen.print(_plots(plots))
+    elif content.history or content.log:
+        screen.print(_table(content))
+    else:
+        screen.print("It has drawings alone.")
     if len(content.frames) > 1:
         screen.print(f"{len(content.frames)} frames, {min(content.frames)} to {max(content.frames)}.")
     for line in content.log if screen.verbose else content.log[-1:]:
@@ -111,15 +118,37 @@ def _table(content: Replay) -> Table:
     return table
 
 
+def _of_video(content: Replay) -> dict[str, Series]:
+    """The plots of a video's recording, which has them by frame and no steps; none of others."""
+    from fgrecon.viz.entities import FRAME
+
+    plots = {name: series for name, series in content.scalars.items() if series.timeline == FRAME}
+    return {} if content.frames else plots
+
+
+def _plots(plots: Mapping[str, Series]) -> Table:
+    """What a video's recording has of its cars over the frames."""
+    table = compact_table("value", "frames", "first", "last", "value first", "value last", text=("value",))
+    for name, series in plots.items():
+        ends = (f"{series.times[0]}", f"{series.times[-1]}", *(f"{series.values[row, 0]:.3f}" for row in (0, -1)))
+        table.add_row(name, str(len(series.times)), *ends)
+    return table
+
+
 def _document(recording: Path, content: Replay) -> dict[str, Any]:
-    """The summary as plain values; energies that are not finite become strings."""
+    """The summary as plain values; numbers that are not finite become strings."""
     vehicles = {name: _content(vehicle) for name, vehicle in content.vehicles.items()}
     document = {"format": "fgrecon.replay/1", "recording": whole_text(str(recording)), **_content(content)}
     return document | ({"vehicles": vehicles} if vehicles else {})
 
 
 def _content(content: Replay) -> dict[str, Any]:
+    plots = {
+        name: {"frames": series.times.tolist(), "names": series.names, "values": series.values.tolist()}
+        for name, series in _of_video(content).items()
+    }
     return {
+        **({"plots": _plain(plots)} if plots else {}),
         "stages": [_plain(asdict(stage)) for stage in content.summary()],
         "frames": {str(number): len(steps) for number, steps in content.frames.items()},
         "log": [asdict(line) for line in content.log],
@@ -129,4 +158,6 @@ def _content(content: Replay) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value

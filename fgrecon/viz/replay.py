@@ -21,6 +21,7 @@ from fgrecon.core.track_reconstruction import JointStep
 from fgrecon.io.isolated import Isolated
 from fgrecon.viz import entities
 from fgrecon.viz.columns import FIELDS
+from fgrecon.viz.sinks import APPLICATION
 
 _SCALARS, _NAMES = "Scalars:scalars", "SeriesLines:names"
 _WORDS_AND_STEPS = (entities.HISTORY, entities.TRACK, entities.LOG)
@@ -34,7 +35,7 @@ class Series:
     """One plotted entity."""
 
     names: tuple[str, ...]  # M names of its series, as in the legend
-    timeline: str  # what `times` counts: `step`, or for numbers by frame of a track `frame`
+    timeline: str  # what `times` counts: `step`, or for numbers by frame of a track or video `frame`
     times: NDArray[np.int64]  # (n,) increasing
     values: NDArray[np.float64]  # (n, M) numbers; NaN where a series has none
 
@@ -124,7 +125,7 @@ def _summary(stage: str, histories: Sequence[Sequence[Iteration | JointStep]]) -
 
 
 def read(path: str | Path) -> Replay:
-    """Read a recording that `fgrecon.viz.record`, `record_scene` or `record_track` wrote.
+    """Read a recording that fgrecon wrote; one of a video has plots, and one of a shape prior nothing but drawings.
 
     Raises:
         InvalidInputError: There is no such file, or it is no recording of fgrecon.
@@ -148,15 +149,19 @@ def _named_in_text(path: Path) -> Iterator[Path]:
 
 
 def _read(path: Path) -> Replay:
+    from rerun.chunk import RrdReader  # on use: importing fgrecon must not import rerun
+
     found: dict[str, _Found] = {}
     try:
+        applications = [entry.application_id for entry in RrdReader(path).recordings()]
         for entity, columns in _chunks(path):
             vehicle, within = _whose(entity)
             found.setdefault(vehicle, _Found()).add(within, columns)
         read = {name: part.replay() for name, part in sorted(found.items())}
     except (RuntimeError, ValueError, LookupError, TypeError, OSError) as error:  # rows may be empty or null
         raise InvalidInputError("recording", str(path), f"{_FIX} The reason: {error}") from error
-    if not any(part.log for part in read.values()):
+    ours = any(application.startswith(APPLICATION) for application in applications)
+    if not (ours or any(part.log for part in read.values())):  # a stream of the user's own may have another name
         raise InvalidInputError("recording", str(path), f"{_FIX} This one holds no log of it.")
     own = read.pop("", _Found().replay())
     return replace(own, vehicles=read)
@@ -171,7 +176,7 @@ def _whose(entity: str) -> tuple[str, str]:
 
 def _chunks(path: str | Path) -> Iterator[tuple[str, dict[str, list[Any]]]]:
     """Entity and columns of every chunk that holds words, steps or plotted numbers."""
-    from rerun.chunk import RrdReader  # on use: importing fgrecon must not import rerun
+    from rerun.chunk import RrdReader
 
     for chunk in RrdReader(path).stream():
         entity = str(chunk.entity_path).strip("/")
@@ -231,7 +236,7 @@ class _Found:
 
 def _timeline(entity: str) -> str:
     """The timeline of a plot."""
-    return entities.FRAME if entity.startswith(f"{entities.FRAMES}/") else entities.STEP
+    return entities.FRAME if entity.startswith((f"{entities.FRAMES}/", f"{entities.PLOTS}/")) else entities.STEP
 
 
 def _iteration(fields: Mapping[str, Any]) -> Iteration:

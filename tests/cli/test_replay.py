@@ -5,11 +5,14 @@ import socket
 import urllib.request
 from urllib.parse import quote
 
+import numpy as np
 import pytest
 
 from fgrecon.cli import replay as command
 from fgrecon.viz import SolvedVehicle, recording_of, replay, scene_recording_of
 from fgrecon.viz.sinks import LOOPBACK, check_viewer, free_port, viewer_command
+from fgrecon.viz.subjects import RecordedFrame
+from fgrecon.viz.video_recording import video_recording_of
 from tests.cli.conftest import INTRINSICS
 from tests.command_line import run
 from tests.viz.made_up import STAGES, make_example
@@ -194,3 +197,52 @@ def test_a_scene_is_summarised_vehicle_by_vehicle(tmp_path):
     assert list(document["vehicles"]) == ["left", "right"]
     alone, together = document["vehicles"]["left"]["stages"], document["stages"]
     assert [stage["steps"] for stage in together] == [2 * stage["steps"] for stage in alone]
+
+
+@pytest.fixture(scope="module")
+def of_a_video(tmp_path_factory):
+    """A recording of two frames in which car 3 drives 7 and 8 m/s, and its width is known in the second alone."""
+    car = make_example()
+    values = [{"speed": (7.0 + n,), "width": (1.8, np.nan if n == 0 else 1.7, 1.9)} for n in range(2)]
+    frames = [RecordedFrame(4 + n, 0.1 * n, None, (), np.eye(4), values={3: values[n]}) for n in range(2)]
+    return video_recording_of(lambda: frames, car.camera).write(tmp_path_factory.mktemp("video") / "video.rrd")
+
+
+def test_a_video_is_played(of_a_video, monkeypatch):
+    commands = []
+    monkeypatch.setattr(command, "_become", commands.append)
+    assert run("replay", of_a_video, "--web").exit_code == 0
+    assert commands[0][-1] == str(of_a_video)
+
+
+def test_a_video_is_summarised_by_what_it_plots(of_a_video):
+    done = run("replay", of_a_video, "--summary")
+    assert done.exit_code == 0, done.output
+    (row,) = (line.split() for line in done.stdout.splitlines() if line.startswith("plots/speed/3"))
+    assert row[1:] == ["2", "4", "5", "7.000", "8.000"]
+    plots = json.loads(run("replay", of_a_video, "--json", "-").stdout)["plots"]
+    assert plots["plots/speed/3"] == {"frames": [4, 5], "names": ["3"], "values": [[7.0], [8.0]]}
+    assert plots["plots/width/3"]["values"] == [[1.8, "nan", 1.9], [1.8, 1.7, 1.9]]
+    series = replay.read(of_a_video).scalars["plots/width/3"]
+    assert series.timeline == "frame"
+    assert series["3, 95 % from"][1] == 1.7
+
+
+def test_a_shape_prior_is_played(tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "_become", lambda _: None)
+    path = tmp_path / "prior.rrd"
+    assert run("prior", "show", "car14", "--save", path).exit_code == 0
+    assert run("replay", path, "--web").exit_code == 0
+    assert run("replay", path, "--summary").stdout == "It has drawings alone.\n"
+
+
+def test_a_recording_of_another_program_is_refused(tmp_path):
+    import rerun as rr
+
+    stream = rr.RecordingStream("theirs")
+    stream.save(tmp_path / "theirs.rrd")
+    stream.log("x", rr.TextLog("x"))
+    stream.flush()
+    stream.disconnect()
+    done = run("replay", tmp_path / "theirs.rrd", "--summary")
+    assert "This one holds no log of it." in str(done.exception)
