@@ -87,16 +87,6 @@ def test_cityscapes_devkit_reads_boxes(submitted, result, devkit):
     assert said["score"] == [1.0]
 
 
-@pytest.mark.formats
-def test_vcd_reads_openlabel(submitted, result, devkit):
-    _, path, info = submitted("o.json", made_up.write_nuscenes, "CAM_FRONT", "openlabel")
-    said = devkit("openlabel", "openlabel_reads", path)
-    assert np.abs(corners_in(info.world_T_camera, result) - said["corners"]).max() < METRES
-    assert np.abs(np.array(said["transform"]) - info.world_T_camera).max() < 1e-9
-    assert len(said["points"]) == len(result.wireframe)
-    assert said["frames"] == [0, 2]
-
-
 def test_openlabel_names_what_an_image_shows(submitted, result):
     _, path, _ = submitted("o.json", made_up.write_nuscenes, "CAM_FRONT", "openlabel")
     content = json.loads(path.read_text())["openlabel"]

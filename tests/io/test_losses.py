@@ -66,6 +66,7 @@ CHANGES = {
     Part.KEYPOINTS: lambda item: _moved(item, wireframe_uv=item.result.pose.wireframe_uv + 3.0),
     Part.HIDDEN: lambda item: _moved(item, visibility=1.0 - item.result.diagnostics.visibility),
     Part.DIGITS: lambda item: _moved(item, wireframe_uv=np.round(item.result.pose.wireframe_uv) + 0.2),
+    Part.OUTSIDE: lambda item: _moved(item, wireframe_uv=item.result.pose.wireframe_uv - 3.0),
     Part.KIND: lambda item: replace(item, kind="Truck"),
     Part.SCORE: lambda item: replace(item, score=0.5),
     Part.TRACK: lambda item: replace(item, track=9),
@@ -91,6 +92,8 @@ def _starts(part, item):
     """What is compared with what has been changed."""
     if part is Part.DIGITS:
         return _moved(item, wireframe_uv=np.round(item.result.pose.wireframe_uv))
+    if part is Part.OUTSIDE:
+        return _moved(item, wireframe_uv=item.result.pose.wireframe_uv - 5000.0)
     if part is Part.BEHIND:
         return _behind(item)
     return item
@@ -102,7 +105,7 @@ def _keeps(part, kind, item, tmp_path):
     return not _same(_written(tmp_path, kind, start), _written(tmp_path, kind, change(start)))
 
 
-IMPLIED = {Part.BOX: (Part.METRES, Part.BEHIND, Part.LEAN), Part.KEYPOINTS: (Part.HIDDEN, Part.DIGITS)}
+IMPLIED = {Part.BOX: (Part.METRES, Part.BEHIND, Part.LEAN), Part.KEYPOINTS: (Part.OUTSIDE, Part.HIDDEN, Part.DIGITS)}
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in OF_FRAMES])
@@ -126,3 +129,5 @@ def test_what_counts_is_what_the_vehicles_have(car):
     assert not_written("nuscenes_tracking", [plain]) == {Part.KEYPOINTS: 1, Part.UNCERTAINTY: 1}
     assert not_written("cvat", [_behind(plain)])[Part.BEHIND] == 1
     assert Part.BEHIND not in not_written("cvat", [plain])
+    outside = _starts(Part.OUTSIDE, plain)
+    assert not_written("label_studio", [plain, outside])[Part.OUTSIDE] == 1

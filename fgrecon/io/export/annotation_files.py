@@ -101,7 +101,7 @@ def _label_studio_regions(item: NamedResult, size: tuple[int, int]) -> list[dict
         "original_width": size[0],
         "original_height": size[1],
     }
-    low, high = image_box(item)[:2] * unit, image_box(item)[2:] * unit
+    low, high = np.clip(image_box(item).reshape(2, 2) * unit, 0.0, _HUNDRED)  # its schema takes nothing beyond
     extent = dict(zip(("width", "height"), (high - low).tolist(), strict=True))
     place = dict(zip("xy", low.tolist(), strict=True)) | extent | {"rotation": 0}
     box: dict[str, Any] = {
@@ -119,7 +119,7 @@ def _label_studio_regions(item: NamedResult, size: tuple[int, int]) -> list[dict
             "parentID": item.name,
             "value": {**dict(zip("xy", (uv * unit).tolist(), strict=True)), "width": 0.5, "keypointlabels": [name]},
         }
-        for name, uv, _ in keypoints_of(item)
+        for name, uv, _ in keypoints_inside(item, size)
     ]
     return [shared | region for region in [box, *points]]
 
@@ -197,6 +197,12 @@ def keypoints_of(item: NamedResult) -> list[tuple[str, Array, bool]]:
     """Names, pixels and whether they are probably seen, of the keypoints."""
     visible = (item.result.diagnostics.visibility >= _VISIBLE).tolist()
     return list(zip(keypoint_names(item), item.result.pose.wireframe_uv, visible, strict=True))
+
+
+def keypoints_inside(item: NamedResult, size: tuple[int, int]) -> list[tuple[str, Array, bool]]:
+    """Those in the image: Label Studio takes no others, and Supervisely drops all of a vehicle for one that is not."""
+    last = np.subtract(size, 1.0)
+    return [one for one in keypoints_of(item) if ((one[1] >= 0.0) & (one[1] <= last)).all()]
 
 
 def _camera(items: Sequence[NamedResult]) -> Camera | None:

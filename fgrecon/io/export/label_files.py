@@ -20,7 +20,13 @@ from typing import Any
 import numpy as np
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.export.annotation_files import corner_pixels, image_size, keypoints_of, known_size
+from fgrecon.io.export.annotation_files import (
+    corner_pixels,
+    image_size,
+    keypoints_inside,
+    keypoints_of,
+    known_size,
+)
 from fgrecon.io.export.image_info import ImageInfo, by_image, image_box, keypoint_names, score
 from fgrecon.io.export.results import NamedResult
 
@@ -65,7 +71,10 @@ def supervisely_text(results: Sequence[NamedResult], images: Mapping[str, ImageI
     objects: list[dict[str, Any]] = []
     for item in items:
         low, high = np.round(image_box(item)).astype(int).reshape(2, 2).tolist()
-        nodes = {label: {"loc": np.round(uv).astype(int).tolist()} for label, uv, _ in keypoints_of(item)}
+        nodes = {
+            label: {"loc": np.round(uv).astype(int).tolist()}
+            for label, uv, _ in keypoints_inside(item, (width, height))
+        }
         box: dict[str, Any] = {"shape": "rectangle", "points": {"exterior": [low, high], "interior": []}}
         shapes = {f"{_kind(item)} box": box, _kind(item): {"shape": "graph", "nodes": nodes}}
         objects += [

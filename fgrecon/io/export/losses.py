@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 
+import numpy as np
+
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.geometry import transform
@@ -20,6 +22,7 @@ class Part(StrEnum):
     BEHIND = "3D box partly behind the camera"
     LEAN = "lean to the side or ahead"
     KEYPOINTS = "keypoints in the image"
+    OUTSIDE = "keypoints outside the image"
     HIDDEN = "hidden keypoints"
     DIGITS = "parts of pixels"
     KIND = "class but car"
@@ -34,8 +37,14 @@ def _is_behind(item: NamedResult) -> bool:
     return bool((corners[:, 2] < MIN_DEPTH).any())
 
 
+def _is_outside(item: NamedResult) -> bool:
+    pixels, size = item.result.pose.wireframe_uv, None if item.camera is None else item.camera.image_size
+    return size is not None and bool(((pixels < 0.0) | (pixels > np.subtract(size, 1.0))).any())
+
+
 _HAS: Mapping[Part, Callable[[NamedResult], bool]] = {
     Part.BEHIND: _is_behind,
+    Part.OUTSIDE: _is_outside,
     Part.KIND: lambda item: item.kind is not None and item.kind.lower() != "car",
     Part.SCORE: lambda item: item.score is not None,
     Part.TRACK: lambda item: item.track is not None,
@@ -59,10 +68,10 @@ LACKS: Mapping[str, tuple[Part, ...]] = {
     "cityscapes3d": (Part.KIND, Part.TRACK, Part.VELOCITY, *_PLACED),
     "openlabel": _OURS,
     "cvat": (Part.METRES, Part.BEHIND, Part.SCORE, Part.TRACK, *_OURS),
-    "label_studio": (Part.BOX, Part.HIDDEN, Part.TRACK, *_OURS),
+    "label_studio": (Part.BOX, Part.HIDDEN, Part.OUTSIDE, Part.TRACK, *_OURS),
     "labelme": (Part.BOX, Part.SCORE, Part.TRACK, *_OURS),
     "scalabel": _OURS,
-    "supervisely": (Part.BOX, Part.HIDDEN, Part.DIGITS, Part.SCORE, Part.TRACK, *_OURS),
+    "supervisely": (Part.BOX, Part.HIDDEN, Part.OUTSIDE, Part.DIGITS, Part.SCORE, Part.TRACK, *_OURS),
     "datumaro": (Part.METRES, Part.BEHIND, *_OURS),
     "fiftyone": (Part.METRES, Part.BEHIND, *_OURS),
     "coco": (Part.KIND, Part.TRACK, *_OURS),

@@ -7,7 +7,9 @@ the world where the poses of the camera are known, else in the camera's frame. A
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,7 @@ from fgrecon.io.export.image_info import (
 from fgrecon.io.export.results import NamedResult
 
 _VISIBLE = 0.5
+_KEY = re.compile(r"-?[0-9]+|[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12}")
 WORLD, CAMERA = "world", "camera"
 
 
@@ -38,6 +41,7 @@ def openlabel_text(results: Sequence[NamedResult], images: Mapping[str, ImageInf
     of_images = by_image(results)
     names = list(dict.fromkeys([*(name for name in images if name != "*"), *of_images]))
     posed = all(info_of(name, images).world_T_camera is not None for name in of_images)
+    keys = _keys(dict.fromkeys(item.name for items in of_images.values() for item in items))
     objects: dict[str, Any] = {}
     frames: dict[str, Any] = {}
     for number, name in enumerate(names):
@@ -52,9 +56,9 @@ def openlabel_text(results: Sequence[NamedResult], images: Mapping[str, ImageInf
                 f"{CAMERA}_to_{WORLD}": {"src": CAMERA, "dst": WORLD, "transform_src_to_dst": pose}
             }
         for item in of_images.get(name, ()):
-            what = objects.setdefault(item.name, {"name": item.name, "type": item.kind or "Car", "frames": []})
+            what = objects.setdefault(keys[item.name], {"name": item.name, "type": item.kind or "Car", "frames": []})
             what["frames"].append(number)
-            frame["objects"][item.name] = {"object_data": _data(item, info if posed else ImageInfo())}
+            frame["objects"][keys[item.name]] = {"object_data": _data(item, info if posed else ImageInfo())}
         frames[str(number)] = frame
     for what in objects.values():
         what["frame_intervals"] = _intervals(what.pop("frames"))
@@ -70,6 +74,14 @@ def openlabel_text(results: Sequence[NamedResult], images: Mapping[str, ImageInf
         "frame_intervals": _intervals(list(range(len(names)))),
     }
     return json.dumps({"openlabel": content}, allow_nan=False) + "\n"
+
+
+def _keys(names: Iterable[str]) -> dict[str, str]:
+    """The keys of objects by their names: OpenLABEL wants whole numbers or UUIDs, so that other names get numbers."""
+    named = list(names)
+    taken = {name for name in named if _KEY.fullmatch(name)}
+    free = (number for number in map(str, count()) if number not in taken)
+    return {name: name if name in taken else next(free) for name in named}
 
 
 def _data(item: NamedResult, info: ImageInfo) -> dict[str, Any]:

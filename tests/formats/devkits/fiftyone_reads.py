@@ -1,4 +1,4 @@
-"""What FiftyOne makes of its samples, without its database: FILE < the cuboid's corners (pixels) in its order."""
+"""What FiftyOne makes of its samples, without its database, and writes again: FILE OUT."""
 
 import json
 import sys
@@ -6,16 +6,35 @@ from pathlib import Path
 
 import fiftyone as fo
 
-given = json.load(sys.stdin)
+FACES = [[5, 4, 6, 7], [1, 0, 2, 3]]
+"""Of fgrecon's corners: front and rear."""
 samples = [fo.Sample.from_dict(one) for one in json.loads(Path(sys.argv[1]).read_text())["samples"]]
-found = []
+found = {}
 for sample in samples:
-    size = sample.metadata.width, sample.metadata.height
-    boxes = [[one.label, one.index, one.confidence, one.bounding_box] for one in sample.detections.detections]
-    points = [[one.label, one.index, one.points, one.confidence, one.names] for one in sample.keypoints.keypoints]
-    cuboids = [one.points for one in sample.cuboids.polylines]
-    theirs = [fo.Polyline.from_cuboid(one, frame_size=size).points for one in given]
-    again = fo.Sample.from_dict(sample.to_dict())
-    assert again.keypoints.keypoints[0].points == sample.keypoints.keypoints[0].points
-    found.append({"boxes": boxes, "points": points, "cuboids": cuboids, "theirs": theirs})
+    width, height = sample.metadata.width, sample.metadata.height
+
+    def scaled(points, width=width, height=height):
+        return [[u * width, v * height] for u, v in points]
+
+    vehicles = {}
+    for one in sample.detections.detections:
+        x, y, w, h = one.bounding_box
+        box = [x * width, y * height, (x + w) * width, (y + h) * height]
+        vehicles[one.index] = {"kind": one.label, "box": box, "score": one.confidence}
+    for one in sample.keypoints.keypoints:
+        hidden = [value < 0.5 for value in one.confidence]
+        vehicles[one.index] |= {"points": dict(zip(one.names, scaled(one.points))), "hidden": hidden}
+    for one in sample.cuboids.polylines:
+        corners = {}
+        for face, points in zip(FACES, one.points):
+            corners |= dict(zip(face, scaled(points)))
+        vehicles[one.index]["pixels"] = [corners[n] for n in range(8)]
+        named = [corners[n] for face in FACES for n in face]
+        theirs = fo.Polyline.from_cuboid(named, frame_size=(width, height)).points
+        assert len(theirs) == len(one.points)
+        for ours, other in zip(one.points, theirs):
+            a, b = sorted(ours), sorted(other)
+            assert max(abs(p - q) for m, n in zip(a, b) for p, q in zip(m, n)) < 1e-12
+    found[Path(sample.filepath).name] = list(vehicles.values())
+Path(sys.argv[2]).write_text(json.dumps({"samples": [one.to_dict() for one in samples]}, default=str))
 json.dump(found, sys.stdout)
