@@ -21,27 +21,24 @@ from typing import Any
 
 import numpy as np
 
-import fgrecon
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import turn_between
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, Status
-from fgrecon.core.size_prior import size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.files import write_text
 from fgrecon.simulation.keypoint_noise import HOURGLASS
 from fgrecon.simulation.vehicles import KITTI_CAMERA
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
-from fgrecon.solve.inputs import observe
+from fgrecon.solve.inputs import SolveSetup, observe
 from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import search
 from fgrecon.solve.proposals.starts import at_azimuths, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.result import results
-from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.simulation import HARD, simulate_many
 
 POINTS = (14, 10, 7, 5)
@@ -96,10 +93,9 @@ def problem(case: Case, number: int) -> Problem:
     observation = Observation(pixels, np.where(np.isnan(pixels[:, 0]), 0.0, seen.confidence), seen.box)
     given = GIVEN[case.given]
     options = Options(strategy=case.strategy, keep_history=False)
-    ground = None if "ground" not in given else fgrecon.Ground.level(given["ground"])
-    model = prepare(prior, size_prior(given["size"]) if "size" in given else None, None)
-    seen, _ = observe(observation, KITTI_CAMERA, prior.category, options)
-    return Problem.of(seen, KITTI_CAMERA, model, ground, options)
+    setup = SolveSetup.of(prior, given.get("size"), options, given.get("ground"))
+    observed, _ = observe(observation, KITTI_CAMERA, setup)
+    return Problem.of(observed, KITTI_CAMERA, setup.model, setup.ground, setup.options)
 
 
 def wide_search(one: Problem, starts: int, rng: np.random.Generator) -> list[Alternative]:

@@ -76,7 +76,7 @@ def learn(annotations: Annotations, variant: str, seed: int = 0) -> tuple[Learnt
         views = None if views is None else np.tile(views, 2)
     begun = time.process_time()
     how = {"options": replace(VARIANTS[variant], seed=seed), "proportions": 0.0}  # what the images tell alone
-    learnt = learn_prior(annotations.category, keypoints, views=views, **how)
+    learnt = learn_prior(Annotations(annotations.category, keypoints, views=views), **how)
     return learnt, time.process_time() - begun
 
 
@@ -201,7 +201,7 @@ def variance(data: Path) -> None:
         for perspective in (False, True):
             options = replace(DEFAULT, basis=10, perspective=perspective)
             how = {"options": options, "proportions": 0.0}
-            prior = learn_prior(chosen.category, chosen.keypoints, views=chosen.views, **how).prior
+            prior = learn_prior(replace(chosen, vehicles=None), **how).prior
             share = prior.explained
             shares = " ".join(f"{100 * x:.1f}" for x in share)
             kind = f"{name}{', perspective removed' if perspective else ''}"
@@ -218,7 +218,7 @@ def few(data: Path, subsets: int) -> None:
         vehicles = np.random.default_rng(1000 + seed).permutation(names)[:37]
         own = annotations.select(np.isin(annotations.vehicles, vehicles))
         chosen = own.select(spread(own, 300, np.random.default_rng(seed)))
-        learnt = learn_prior(chosen.category, chosen.keypoints, views=chosen.views, vehicles=chosen.vehicles)
+        learnt = learn_prior(chosen)
         priors = [
             to_prior(chosen.category, learnt.nrsfm, SIZE_PRIORS[fleet], proportions=share).prior
             for fleet, share in (("apollo79", 0.0), ("apollo79", PROPORTIONS), ("kitti", PROPORTIONS))

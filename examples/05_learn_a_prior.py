@@ -15,15 +15,15 @@ import numpy as np
 
 import fgrecon
 from fgrecon.simulation import KITTI_CAMERA, Vehicle, yaw_pose
-from fgrecon_research.training import NrsfmOptions, compare_priors, learn_prior
+from fgrecon_research.training import Annotations, NrsfmOptions, compare_priors, learn_prior
 
 
 def main() -> None:
     rng = np.random.default_rng(0)
     true = fgrecon.load_prior("car14")
-    annotations = np.array([annotate(true, rng) for _ in range(150)])
+    annotations = Annotations(true.category, np.array([annotate(true, rng) for _ in range(150)]))
 
-    learnt = learn_prior(true.category, annotations, options=NrsfmOptions(basis=3, restarts=1), name="mine")
+    learnt = learn_prior(annotations, options=NrsfmOptions(basis=3, restarts=1), name="mine")
 
     prior = learnt.prior
     compared = compare_priors(prior, true)

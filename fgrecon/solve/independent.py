@@ -115,9 +115,7 @@ def solve_independently(
     warnings: dict[int, InputWarning | None] = {}
     for number, given in enumerate(observations):
         try:
-            usable[number], warnings[number] = observe(
-                given, camera, setup.prior.category, setup.options, evidence=setup.evidence
-            )
+            usable[number], warnings[number] = observe(given, camera, setup, evidence=setup.evidence)
         except FgreconError as error:
             refused[number] = error
     coupled: dict[int, Observation] = {}

@@ -166,8 +166,7 @@ class Observed(NamedTuple):
 def observe(
     keypoints: KeypointsLike,
     camera: Camera,
-    category: Category,
-    options: Options,
+    setup: SolveSetup,
     *,
     confidence: ArrayLike | None = None,
     box: ArrayLike | None = None,
@@ -175,7 +174,7 @@ def observe(
     evidence: Sequence[Evidence] = (),
     moving: bool = False,
 ) -> Observed:
-    """The observation that is solved from: checked against the category, and freed of lens distortion.
+    """The observation that is solved from: checked against the prior's category, and freed of lens distortion.
 
     Args:
         moving: Whether the vehicle has a velocity, as over time.
@@ -184,6 +183,7 @@ def observe(
         InvalidInputError: An array has the wrong shape or values, something is given twice, the box is outside of the
             image, or a range rate is of a vehicle without a velocity.
     """
+    category, options = setup.prior.category, setup.options
     observation = given = _as_observation(keypoints, category, confidence, box, covariance).with_evidence(evidence)
     rates = [] if moving else [one for one in given.evidence if isinstance(one, RangeRate)]
     if rates:

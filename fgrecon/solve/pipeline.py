@@ -90,7 +90,7 @@ def reconstruct(
     sensed = evidence_of(evidence, camera)
     if sensed:
         setup = replace(setup, ground=ground_by_points(sensed, setup.ground, camera, setup.options.disabled_terms))
-    observed = observe(keypoints, camera, setup.prior.category, setup.options, **given, evidence=sensed)
+    observed = observe(keypoints, camera, setup, **given, evidence=sensed)
     if observed.warning is not None:
         warn_of(InputWarnings.of({"the vehicle": observed.warning}), stacklevel=3)
 

@@ -150,7 +150,7 @@ def _posed(
             refused[number] = "no keypoints"
             continue
         try:
-            observation, warning = observe(given, camera, setup.prior.category, setup.options)
+            observation, warning = observe(given, camera, setup)
             warnings.add(f"image {number}", warning)
             scaled = with_scales([observation], camera, setup)[0]
             own = setup

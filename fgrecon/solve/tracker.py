@@ -252,8 +252,7 @@ class Tracker:
         warnings = InputWarnings()
         for name, given in observations.items():
             try:
-                category, options = self._setup.prior.category, self._setup.options
-                found[name], warning = observe(given, camera, category, options, evidence=evidence, moving=True)
+                found[name], warning = observe(given, camera, self._setup, evidence=evidence, moving=True)
                 warnings.add(f"vehicle {name}", warning)
                 if frame.world_T_camera is None:
                     found[name] = without_rates_over_ground(found[name])

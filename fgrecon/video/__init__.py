@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.io.source_frames import SourceFrame
     from fgrecon.io.video import write_video
     from fgrecon.video.association import Association, AssociationSettings, Candidate, GatedAssociation
+    from fgrecon.video.camera_path import CameraPath
     from fgrecon.video.egomotion import CameraMotion, camera_motion
     from fgrecon.video.focal import EstimatedCamera, estimate_camera
     from fgrecon.video.follow import Follower, TrackedFrame, VehicleTracker
@@ -35,6 +36,7 @@ __all__ = [
     "Association",
     "AssociationSettings",
     "CameraMotion",
+    "CameraPath",
     "CameraPoses",
     "Candidate",
     "EstimatedCamera",

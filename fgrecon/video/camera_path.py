@@ -41,14 +41,14 @@ class CameraPath:
     Where motions are missing the camera goes on as before for a second; from then on it has no pose, until the next.
     """
 
-    def __init__(self, poses: CameraPoses | None, *, moving: bool) -> None:
+    def __init__(self, poses: CameraPoses | None = None, *, moving: bool = False) -> None:
         """Begin at the world's origin.
 
         Args:
             poses: The camera's poses, or None.
             moving: Whether it moves by the motions in the records; else it stays unknown without poses.
         """
-        self._poses, self._moving = poses, moving
+        self.poses, self._moving = poses, moving
         self._pose: Array | None = None
         self._step: Array | None = None  # the last motion that was estimated, and how long it took
         self._passed = 0.0
@@ -59,7 +59,7 @@ class CameraPath:
     @property
     def known(self) -> bool:
         """Whether the camera has poses in some of the frames."""
-        return self._moving or bool(self._poses)
+        return self._moving or bool(self.poses)
 
     def skip(self, record: FrameRecord) -> None:
         """Leave a frame out; the next motion begins there all the same."""
@@ -82,8 +82,8 @@ class CameraPath:
             (6, 6) of that, as `CameraMotion` has it, where it was estimated. None where not known.
         """
         before = self._pose
-        if self._poses is not None:
-            here = self._poses.at(record.number, record.time)
+        if self.poses is not None:
+            here = self.poses.at(record.number, record.time)
             if here is None:
                 return None, None, None
             self._pose = here

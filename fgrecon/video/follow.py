@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,6 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.core.vehicle_estimate import VehicleEstimate
-from fgrecon.io.poses import CameraPoses
-from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import Association, Candidate, ground_contact
 from fgrecon.video.camera_path import CameraPath
 from fgrecon.video.records import FrameRecord, Sighting
@@ -55,8 +53,16 @@ class VehicleTracker(Protocol):
         ground: Ground | None = None,
         motion_covariance: Array | None = None,
         evidence: Sequence[Evidence] = (),
+        estimated: bool = True,
     ) -> Mapping[int, VehicleEstimate]:
-        """Take a frame; the estimates of the vehicles that it shows, by id. The arguments are `fgrecon.Tracker`'s."""
+        """Take a frame; the estimates of the vehicles that it shows, by id. The arguments are `fgrecon.Tracker`'s.
+
+        Args:
+            estimated: Whether there shall be any before `smooth`: `placed` says where a vehicle is all the same.
+        """
+
+    def placed(self, vehicle: int) -> tuple[Array, Array] | None:
+        """Pose (4, 4) of a vehicle in its last frame, and its keypoints (K, 3) in its own; None where it is unknown."""
 
     def smooth(self) -> Mapping[int, Sequence[VehicleEstimate]]:
         """The estimates of all frames by all of them, by id, in the order of time."""
@@ -103,7 +109,7 @@ class Follower:
         association: Gives ids to those that come without.
         camera: The camera.
         ground: The ground in its frame, or None.
-        poses: The camera's poses, or None.
+        path: Where the camera is.
     """
 
     def __init__(
@@ -113,8 +119,7 @@ class Follower:
         camera: Camera,
         *,
         ground: Ground | None = None,
-        poses: CameraPoses | None = None,
-        moving: bool = False,
+        path: CameraPath | None = None,
         window_graph: Callable[[int], tuple[GraphFactor, ...]] | None = None,
         sense: Callable[[FrameRecord], Sequence[Evidence]] | None = None,
         estimated: bool = True,
@@ -126,17 +131,15 @@ class Follower:
             association: Gives ids to those that come without.
             camera: The camera.
             ground: The ground in its frame, or None.
-            poses: The camera's poses, or None.
-            moving: Whether it moves by the motions in the records instead (`CameraPath`).
+            path: Where the camera is, by poses or by the motions in the records; None where that is not known.
             window_graph: Gives the factors of a vehicle's window, as `fgrecon.Tracker.window_graph` does. Each frame
                 has those of one: of the longest windows that of the nearest vehicle. None: no frame has them.
             sense: What other sensors say of a frame's vehicles; None where there are none.
-            estimated: Whether frames have estimates as they come; else the tracker, a `fgrecon.Tracker`, makes none
-                before it smooths.
+            estimated: Whether frames have estimates as they come; else the tracker makes none before it smooths.
         """
         self._window_graph, self._sense, self._estimated = window_graph, sense, estimated
         self.tracker, self.association, self.camera, self.ground = tracker, association, camera, ground
-        self.poses, self._path = poses, CameraPath(poses, moving=moving)
+        self.path = CameraPath() if path is None else path
         self._time = -np.inf
         self._kinds: dict[int, Counter[str]] = {}  # what each vehicle is said to be, frame by frame
         self._last: dict[int, tuple[float, Array, Array]] = {}  # time, place and velocity of each vehicle
@@ -144,11 +147,11 @@ class Follower:
     def __call__(self, record: FrameRecord) -> TrackedFrame:
         """The frame's vehicles; a frame that is not later than the one before is a gap."""
         if record.time <= self._time:
-            self._path.skip(record)
+            self.path.skip(record)
             problem = f"{record.name}: its time, {record.time:g} s, is not later than that of the frame before"
             return TrackedFrame(record.number, record.time, record.name, record.problem or problem)
         self._time = record.time
-        world_T_camera, previous_T_current, motion_covariance = self._path.move(record)
+        world_T_camera, previous_T_current, motion_covariance = self.path.move(record)
         known = [s for s in record.sightings if s.identity is not None]
         unknown = [s for s in record.sightings if s.identity is None]
         ids = self.association(record.time, [self._candidate(s) for s in unknown], previous_T_current)
@@ -164,11 +167,14 @@ class Follower:
             world_T_camera=world_T_camera,
             ground=self.ground,
             motion_covariance=motion_covariance,
-            **self._more(record),
+            evidence=() if self._sense is None else self._sense(record),
+            estimated=self._estimated,
         )
         for identity in ids:
-            if identity is not None and (placed := self._placed(identity, observations, estimates)) is not None:
-                self._set_motion(identity, record.time, *placed)
+            if identity in observations and identity not in self.tracker.refused:
+                placed = self.tracker.placed(identity)
+                if placed is not None:
+                    self._set_motion(identity, record.time, *placed)
         return TrackedFrame(
             number=record.number,
             time=record.time,
@@ -186,7 +192,7 @@ class Follower:
 
     def over_world(self, estimate: VehicleEstimate) -> VehicleEstimate:
         """An estimate, without its velocity if that is relative to the camera and those of other frames are not."""
-        if estimate.velocity is None or estimate.world_T_object is not None or not self._path.known:
+        if estimate.velocity is None or estimate.world_T_object is not None or not self.path.known:
             return estimate
         return replace(estimate, velocity=None, turn_rate=None, velocity_covariance=None)
 
@@ -210,23 +216,6 @@ class Follower:
         if sighting.kind is not None:
             votes[sighting.kind] += 1
         return votes.most_common(1)[0][0] if votes else DEFAULT_KIND
-
-    def _more(self, record: FrameRecord) -> dict[str, Any]:
-        """Arguments that not every tracker needs to know."""
-        sensed = {} if self._sense is None else {"evidence": self._sense(record)}
-        return sensed if self._estimated else sensed | {"estimated": False}
-
-    def _placed(
-        self, identity: int, observations: Mapping[int, Observation], estimates: Mapping[int, VehicleEstimate]
-    ) -> tuple[Array, Array] | None:
-        """Pose (4, 4) of a vehicle of the frame and its keypoints (K, 3); None where it could not be solved."""
-        if isinstance(self.tracker, Tracker) and not self._estimated:
-            there = identity in observations and identity not in self.tracker.refused
-            return self.tracker.placed(identity) if there else None
-        if identity not in estimates:
-            return None
-        result = estimates[identity].reconstruction
-        return result.camera_T_object, result.wireframe
 
     def _set_motion(self, identity: int, time: float, camera_T_object: Array, points: Array) -> None:
         """Give the association a vehicle's pose (4, 4) and its motion relative to the camera; points are (K, 3)."""

@@ -33,6 +33,7 @@ from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.inputs import as_camera_pose, as_ground, calibrated
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import Association, GatedAssociation
+from fgrecon.video.camera_path import CameraPath
 from fgrecon.video.follow import Follower, TrackedFrame
 from fgrecon.video.frame_detector import FrameDetector
 
@@ -129,7 +130,7 @@ class ImageTracker:
         if self._follower is None:
             self._follower = Follower(
                 *(self.tracker, self._association, seen_by),
-                poses=CameraPoses(self._places),
+                path=CameraPath(CameraPoses(self._places)),
                 sense=lambda _: self._evidence,
             )
         self._evidence = with_depths(evidence, pixels, seen_by)

@@ -51,7 +51,8 @@ from fgrecon.video.stages import made_ahead, rare_collections, short_turns
 __all__ = ["MOTIONS", "RECORDS", "VideoRun", "run_video"]
 
 AHEAD = 2
-"""Frames that a stage is ahead of the next one: enough for frames with many and with few vehicles in turn."""
+"""Frames that a stage, in a thread of its own, is ahead of the next one: enough for frames with many and with few
+vehicles in turn. With 0 one frame and stage comes after the other; results are the same to the last bit."""
 
 MOTIONS = "motions"
 """Folder of the camera's motions within that of the run, beside the stored records' (`RECORDS`)."""
@@ -140,7 +141,6 @@ def run_video(
     settings: Mapping[str, Any],
     motion: MotionEstimator | None = None,
     online: bool = False,
-    ahead: int = AHEAD,
     go_on: Callable[[VideoRun, SourceFrame | None], bool] = lambda run, frame: True,  # noqa: ARG005 - to the end
 ) -> VideoRun:
     """Look at the frames of a source that are not stored yet, and follow the vehicles through all of them.
@@ -153,8 +153,6 @@ def run_video(
         settings: What the records depend on, as plain values; a folder is for one such.
         motion: Estimates the camera's motion, a new one; None where it is not estimated.
         online: Whether estimates stay as they were when their frame came, until `VideoRun.smooth`.
-        ahead: How many frames each stage may be ahead of the next, in a thread of its own; 0: one frame and stage
-            after the other. What was looked at ahead of a run's stop is looked at again when it goes on.
         go_on: Called after each frame with the run and the frame's pixels, None for what runs before had looked at;
             returns whether to go on.
 
@@ -170,13 +168,13 @@ def run_video(
         DamagedFileWarning: Stored records are damaged; their frames, and those after them, are looked at again.
     """
     refuse_batch(out)
-    given = (follower.poses, None if frame_detector.given is None else frame_detector.given.keys())
+    given = (follower.path.poses, None if frame_detector.given is None else frame_detector.given.keys())
     if any(given):
         check_coverage(planned_frames(source) or (), *given)
     begin(out / RECORDS, settings, FORMAT)
     run = VideoRun(source.count, frames=FrameStore(folder=out))
-    with claimed(out / RECORDS), short_turns(ahead), rare_collections():
-        records = _Records(source, out, frame_detector, motion, settings, ahead)
+    with claimed(out / RECORDS), short_turns(AHEAD), rare_collections():
+        records = _Records(source, out, frame_detector, motion, settings)
         run.before = len(records.stored)
         try:
             for record, frame in records.records():
@@ -225,9 +223,8 @@ class _Records:
         frame_detector: FrameDetector,
         motion: MotionEstimator | None,
         settings: Mapping[str, Any],
-        ahead: int,
     ) -> None:
-        self._source, self._frame_detector, self._motion, self._most = source, frame_detector, motion, ahead
+        self._source, self._frame_detector, self._motion = source, frame_detector, motion
         self._reading: Iterator[SourceFrame] | None = None
         self._stages: Generator[_RecordedFrame] | None = None
         self._last_read = -1
@@ -254,7 +251,7 @@ class _Records:
         """Whether a frame comes after this one, the last of `records`; it is read for it, since heads of files err."""
         if self._last_read > number:
             return True
-        if self._most and self._stages is not None:
+        if AHEAD and self._stages is not None:
             return next(self._stages, None) is not None
         return next(self._reading or self._source.read(number), None) is not None
 
@@ -269,11 +266,11 @@ class _Records:
         before = next((record for record in reversed(whole) if record.problem is None), None)
         # The motion since the last image needs that image.
         self._reading = self._source.read(last if moving is None or before is None else before.number - 1)
-        frames = made_ahead(self._noted(self._reading), self._most, "frames")
-        boxed = made_ahead(self._boxed(frames, last, len(whole)), self._most, "boxes")
-        recorded = made_ahead(self._recorded(boxed), self._most, "keypoints")
+        frames = made_ahead(self._noted(self._reading), AHEAD, "frames")
+        boxed = made_ahead(self._boxed(frames, last, len(whole)), AHEAD, "boxes")
+        recorded = made_ahead(self._recorded(boxed), AHEAD, "keypoints")
         moved = recorded if moving is None else self._moved_to(recorded, moving, before)
-        self._stages = made_ahead(moved, 0 if moving is None else self._most, "motion")
+        self._stages = made_ahead(moved, 0 if moving is None else AHEAD, "motion")
         for one in self._stages:
             if one.record is None:
                 continue

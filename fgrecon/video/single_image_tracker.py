@@ -47,6 +47,7 @@ class SingleImageTracker:
         ground: Ground | None = None,
         motion_covariance: Array | None = None,  # noqa: ARG002 - one image knows of no motion
         evidence: Sequence[Evidence] = (),
+        estimated: bool = True,  # noqa: ARG002 - nor of frames to come
     ) -> Mapping[int, VehicleEstimate]:
         """The estimates of the vehicles that can be reconstructed, by id."""
         estimates: dict[int, VehicleEstimate] = {}
@@ -70,6 +71,13 @@ class SingleImageTracker:
             self._tracks.setdefault(identity, []).append(estimates[identity])
         self.refused = refused
         return estimates
+
+    def placed(self, vehicle: int) -> tuple[Array, Array] | None:
+        """Pose (4, 4) of a vehicle in its last image, and its keypoints (K, 3) in its own; None of one without."""
+        if vehicle not in self._tracks:
+            return None
+        last = self._tracks[vehicle][-1].reconstruction
+        return last.camera_T_object, last.wireframe
 
     def forget(self, vehicle: int) -> None:
         """Let go of a vehicle's estimates; one that is not there is none to let go of."""

@@ -48,6 +48,7 @@ from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.box_check import boxes_warning
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import GatedAssociation
+from fgrecon.video.camera_path import CameraPath
 from fgrecon.video.coverage import check_coverage, planned_frames
 from fgrecon.video.focal import estimate_camera
 from fgrecon.video.follow import Follower
@@ -390,8 +391,7 @@ def track_video(
     follower = Follower(
         *(tracker, GatedAssociation(**ids, given_up=gone.append), job.camera),
         ground=ground,
-        poses=job.poses,
-        moving=job.moving,
+        path=CameraPath(job.poses, moving=job.moving),
         window_graph=tracker.window_graph if isinstance(tracker, Tracker) and window_graph else None,
         sense=job.sense,
         estimated=estimated or request.online or request.alone,

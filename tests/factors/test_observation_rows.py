@@ -77,37 +77,38 @@ class Case:
         self.outline = ProjectionKernel(outline_shape, nominal, X() if pose_free else self.pose, focal)
         self.box = BoxRows(self.edges, self.used, sigma, 0.02, sigma / 2) if box else None
         self.ground = GroundRows(NORMAL, 1.6, 0.03) if ground and pose_free else None
-        seen = None
-        if compiled:
-            seen = KERNEL.Observation(
-                CAMERA,
-                mean,
-                np.ascontiguousarray(basis).reshape(VECTORS, -1),
-                self.pixels,
-                self.whitener,
-                (
-                    outline,
-                    np.ascontiguousarray(outline_basis).reshape(VECTORS, -1),
-                    self.edges,
-                    self.used.view(np.uint8),
-                    sigma,
-                    0.02,
-                    sigma / 2,
-                )
-                if box
-                else None,
-                (NORMAL, 1.6, 0.1, 0.0, 0.03) if ground else None,
-            )
-            seen = KERNEL.ImageRows(seen, 0.7, pose_free)
+        rows = self._compiled(mean, basis, outline, outline_basis, ground=ground) if compiled else None
         self.rows = ObservationRows(
             self.kernel,
             KeypointRows(self.pixels, self.whitener),
             self.box,
             self.outline,
             self.ground,
-            seen,
+            None if rows is None else KERNEL.ImageRows(rows, 0.7, pose_free),
             share=0.7,
             height_sigma=0.12,
+        )
+
+    def _compiled(self, mean, basis, outline, outline_basis, *, ground):
+        extent = None
+        if self.box is not None:
+            extent = (
+                outline,
+                np.ascontiguousarray(outline_basis).reshape(VECTORS, -1),
+                self.edges,
+                self.used.view(np.uint8),
+                self.sigma,
+                0.02,
+                self.sigma / 2,
+            )
+        return KERNEL.Observation(
+            CAMERA,
+            mean,
+            np.ascontiguousarray(basis).reshape(VECTORS, -1),
+            self.pixels,
+            self.whitener,
+            extent,
+            (NORMAL, 1.6, 0.1, 0.0, 0.03) if ground else None,
         )
 
     def tell(self, form):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -105,17 +106,20 @@ def _write_tables(folder: Path, tables: dict[str, list]):
         (folder / f"{name}.json").write_text(json.dumps(content))
 
 
-def write_nuscenes(root: Path, *, trucks: bool = False) -> Path:
-    """Tables of one scene: two key frames and a sweep between them; as TruckScenes has them on request."""
-    samples = [f"s{i}" for i in range(len(TIMES_NS))]
-    shots = [(TIMES_NS[0], "s0", True), (TIMES_NS[0] + 50_000_000, "s1", False), (TIMES_NS[1], "s1", True)]
-    sensors = [
+def _nuscenes_sensors():
+    """Name, channel, place on the vehicle and matrix of each."""
+    return [
         ("lidar", "LIDAR_TOP", np.eye(4), []),
         *((c.name, f"CAM_{c.name.upper()}", c.vehicle_T_camera, c.matrix.tolist()) for c in CAMERAS),
     ]
+
+
+def _nuscenes_shots(root: Path) -> tuple[list, list]:
+    """Rows of `sample_data` and `ego_pose`, whose files are written."""
+    shots = [(TIMES_NS[0], "s0", True), (TIMES_NS[0] + 50_000_000, "s1", False), (TIMES_NS[1], "s1", True)]
     data, poses = [], []
     for number, (time, sample, key) in enumerate(shots):
-        for name, channel, _, matrix in sensors:
+        for name, channel, _, matrix in _nuscenes_sensors():
             taken = time + (SHIFT_NS if matrix else 0)
             token, ending = f"d{number}{name}", "jpg" if matrix else "pcd.bin"
             file = f"{'samples' if key else 'sweeps'}/{channel}/{token}.{ending}"
@@ -148,7 +152,12 @@ def write_nuscenes(root: Path, *, trucks: bool = False) -> Path:
             else:
                 (root / file).parent.mkdir(parents=True, exist_ok=True)
                 np.zeros((3, 5), dtype=np.float32).tofile(root / file)
-    labels = [
+    return data, poses
+
+
+def _nuscenes_labels(samples: list[str]) -> list:
+    """Rows of `sample_annotation`."""
+    return [
         {
             "token": f"a{i}{v.name}",
             "sample_token": samples[i],
@@ -166,6 +175,41 @@ def write_nuscenes(root: Path, *, trucks: bool = False) -> Path:
         for i, time in enumerate(TIMES_NS)
         for v in VEHICLES
     ]
+
+
+def _nuscenes_instances() -> list:
+    """Rows of `instance`."""
+    return [
+        {
+            "token": f"i{v.name}",
+            "category_token": "car",
+            "nbr_annotations": 2,
+            "first_annotation_token": f"a0{v.name}",
+            "last_annotation_token": f"a1{v.name}",
+        }
+        for v in VEHICLES
+    ]
+
+
+def _nuscenes_samples(samples: list[str]) -> list:
+    """Rows of `sample`."""
+    return [
+        {
+            "token": t,
+            "timestamp": time // 1000,
+            "scene_token": "scene",
+            "prev": "" if i == 0 else samples[i - 1],
+            "next": samples[i + 1] if i + 1 < len(samples) else "",
+        }
+        for i, (t, time) in enumerate(zip(samples, TIMES_NS, strict=True))
+    ]
+
+
+def write_nuscenes(root: Path, *, trucks: bool = False) -> Path:
+    """Tables of one scene: two key frames and a sweep between them; as TruckScenes has them on request."""
+    samples = [f"s{i}" for i in range(len(TIMES_NS))]
+    sensors = _nuscenes_sensors()
+    data, poses = _nuscenes_shots(root)
     tables = {
         "sensor": [{"token": f"s{n}", "channel": c, "modality": "camera" if m else "lidar"} for n, c, _, m in sensors],
         "calibrated_sensor": [
@@ -180,27 +224,9 @@ def write_nuscenes(root: Path, *, trucks: bool = False) -> Path:
         ],
         "ego_pose": poses,
         "sample_data": data,
-        "sample": [
-            {
-                "token": t,
-                "timestamp": time // 1000,
-                "scene_token": "scene",
-                "prev": "" if i == 0 else samples[i - 1],
-                "next": samples[i + 1] if i + 1 < len(samples) else "",
-            }
-            for i, (t, time) in enumerate(zip(samples, TIMES_NS, strict=True))
-        ],
-        "sample_annotation": labels,
-        "instance": [
-            {
-                "token": f"i{v.name}",
-                "category_token": "car",
-                "nbr_annotations": 2,
-                "first_annotation_token": f"a0{v.name}",
-                "last_annotation_token": f"a1{v.name}",
-            }
-            for v in VEHICLES
-        ],
+        "sample": _nuscenes_samples(samples),
+        "sample_annotation": _nuscenes_labels(samples),
+        "instance": _nuscenes_instances(),
         "category": [{"token": "car", "name": "vehicle.car", "description": "", "index": 1}],
         "attribute": [],
         "visibility": [{"token": str(i), "level": "", "description": ""} for i in range(1, 5)],
@@ -224,6 +250,28 @@ def write_nuscenes(root: Path, *, trucks: bool = False) -> Path:
     folder = root / "v1.0-mini"
     _write_tables(folder, tables)
     return folder
+
+
+def _argoverse2_intrinsics(names: dict[str, str]):
+    """Columns of the cameras' matrices and lenses."""
+    import pyarrow as pa
+
+    places = ("fx", (0, 0)), ("fy", (1, 1)), ("cx", (0, 2)), ("cy", (1, 2))
+    return {
+        "sensor_name": [names[c.name] for c in CAMERAS],
+        **{f"{name}_px": [float(c.matrix[at]) for c in CAMERAS] for name, at in places},
+        **{k: [0.01 * (i + 1) for _ in CAMERAS] for i, k in enumerate(("k1", "k2", "k3"))},
+        "height_px": pa.array([HEIGHT] * 2, pa.int64()),
+        "width_px": pa.array([WIDTH] * 2, pa.int64()),
+    }
+
+
+def _argoverse2_sweep():
+    """Columns of a sweep."""
+    import pyarrow as pa
+
+    columns = {n: pa.array(POINTS[:, i].astype(np.float16), pa.float16()) for i, n in enumerate("xyz")}
+    return columns | {n: pa.array([0] * len(POINTS), pa.int32()) for n in ("intensity", "laser_number", "offset_ns")}
 
 
 def write_argoverse2(root: Path, log: str = "adcf7d18-0510-35b0-a2fa-b4cea13a6d76") -> Path:
@@ -259,19 +307,7 @@ def write_argoverse2(root: Path, log: str = "adcf7d18-0510-35b0-a2fa-b4cea13a6d7
             "sensor_name",
         ),
     )
-    write(
-        folder / "calibration/intrinsics.feather",
-        {
-            "sensor_name": [names[c.name] for c in CAMERAS],
-            **{
-                f"{n}_px": [float(c.matrix[i]) for c in CAMERAS]
-                for n, i in (("fx", (0, 0)), ("fy", (1, 1)), ("cx", (0, 2)), ("cy", (1, 2)))
-            },
-            **{k: [0.01 * (i + 1) for _ in CAMERAS] for i, k in enumerate(("k1", "k2", "k3"))},
-            "height_px": pa.array([HEIGHT] * 2, pa.int64()),
-            "width_px": pa.array([WIDTH] * 2, pa.int64()),
-        },
-    )
+    write(folder / "calibration/intrinsics.feather", _argoverse2_intrinsics(names))
     rows = [(t, v, np.linalg.inv(world_T_vehicle(t)) @ world_T_box(v, t)) for t in TIMES_NS for v in VEHICLES]
     places = poses([(t, p) for t, _, p in rows], "timestamp_ns")
     write(
@@ -288,9 +324,7 @@ def write_argoverse2(root: Path, log: str = "adcf7d18-0510-35b0-a2fa-b4cea13a6d7
         for name in names.values():
             write_image(folder / "sensors/cameras" / name / f"{time}.jpg")
     for time in TIMES_NS:
-        columns = {n: pa.array(POINTS[:, i].astype(np.float16), pa.float16()) for i, n in enumerate("xyz")}
-        rest = {n: pa.array([0] * len(POINTS), pa.int32()) for n in ("intensity", "laser_number", "offset_ns")}
-        write(folder / "sensors/lidar" / f"{time}.feather", columns | rest)
+        write(folder / "sensors/lidar" / f"{time}.feather", _argoverse2_sweep())
     return folder.parent
 
 
@@ -468,24 +502,26 @@ def waymo_scene() -> dict:
     return {"width": WIDTH, "height": HEIGHT, "image": image, "frames": frames, "cameras": cameras}
 
 
-def write_waymo(root: Path, name: str = "1005081002024129653_5313_150_5333_150") -> Path:
-    """The tables of `devkits/waymo_writes.py`, as far as they are read."""
+def _write_waymo_rows(root: Path, name: str, folder: str, rows: list[dict]):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    kinds = {"key.frame_timestamp_micros": pa.int64(), "num": pa.int64(), "key.camera_name": pa.int8()}
+    kinds["[LiDARBoxComponent].type"] = pa.int8()
+    columns = {}
+    for key in rows[0]:
+        kind = pa.list_(pa.float64(), 16) if key.endswith("transform") else kinds.get(key)
+        columns[key] = pa.array([row[key] for row in rows], kind)
+    (root / folder).mkdir(parents=True)
+    pq.write_table(pa.table(columns), root / folder / f"{name}.parquet")
+
+
+def write_waymo(root: Path, name: str = "1005081002024129653_5313_150_5333_150") -> Path:
+    """The tables of `devkits/waymo_writes.py`, as far as they are read."""
     scene = waymo_scene()
     time, camera = "key.frame_timestamp_micros", "key.camera_name"
     lenses, boxes, images = (f"[{part}Component]" for part in ("CameraCalibration", "LiDARBox", "CameraImage"))
-    matrix = pa.list_(pa.float64(), 16)
-    numbers = dict.fromkeys((time, "num"), pa.int64()) | {camera: pa.int8(), f"{boxes}.type": pa.int8()}
-
-    def write(folder, rows):
-        columns = {}
-        for key in rows[0]:
-            kind = matrix if key.endswith("transform") else numbers.get(key)
-            columns[key] = pa.array([row[key] for row in rows], kind)
-        (root / folder).mkdir(parents=True)
-        pq.write_table(pa.table(columns), root / folder / f"{name}.parquet")
+    write = partial(_write_waymo_rows, root, name)
 
     def flat(values):
         return np.ravel(values).tolist()
@@ -634,14 +670,8 @@ def write_zod(root: Path) -> Path:
         for name, content in (("calibration", {"FC": calibration}), ("ego_motion", motion), ("objects", labels)):
             (root / folder / f"{name}.json").write_text(json.dumps(content))
         shot = {"time": stamp.isoformat(), "height": HEIGHT, "width": WIDTH}
-        scan = np.zeros(
-            len(POINTS),
-            [*((n, "<f4") for n in "xyz"), ("timestamp", "<i8"), ("intensity", "u1"), ("diode_index", "u1")],
-        )
-        for i, axis in enumerate("xyz"):
-            scan[axis] = POINTS[:, i]
         file = f"{folder}/{key}_velodyne_{stamp:%Y-%m-%dT%H:%M:%S.%fZ}.npy"
-        np.save(root / file, scan)
+        np.save(root / file, _zod_scan())
         lidars = [{"filepath": file, "time": stamp.isoformat(), "is_compensated": True}]
         frames.append(
             {
@@ -661,6 +691,15 @@ def write_zod(root: Path) -> Path:
     frames[1] = {words[key]: value for key, value in frames[1].items()}
     (root / "trainval-frames-mini.json").write_text(json.dumps({"train": frames[:1], "val": frames[1:]}))
     return root
+
+
+def _zod_scan():
+    """A scan's points as they lie in a file."""
+    kinds = [*((n, "<f4") for n in "xyz"), ("timestamp", "<i8"), ("intensity", "u1"), ("diode_index", "u1")]
+    scan = np.zeros(len(POINTS), kinds)
+    for i, axis in enumerate("xyz"):
+        scan[axis] = POINTS[:, i]
+    return scan
 
 
 def _zod_plain(name, kind, number):

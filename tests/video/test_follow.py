@@ -13,6 +13,7 @@ from fgrecon.io.poses import CameraPoses
 from fgrecon.simulation import KITTI_CAMERA
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video import Follower, GatedAssociation, SingleImageTracker, VideoRun
+from fgrecon.video.camera_path import CameraPath
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.frame_store import FrameStore
 from fgrecon.video.records import FrameRecord, Sighting
@@ -74,7 +75,7 @@ def test_weak_detections_have_no_id():
 
 def test_the_world_is_made_of_motions():
     """One that is missing goes on as before; a frame that cannot be read has no place, and the next covers it."""
-    follow = follower(moving=True)
+    follow = follower(path=CameraPath(moving=True))
     records = [
         record(0),
         record(1, motion=step(1.0)),
@@ -88,7 +89,7 @@ def test_the_world_is_made_of_motions():
 
 def test_the_motion_up_to_a_frame_that_is_left_out_is_no_less_a_part_of_the_way():
     """The next motion begins at its image; where it is not known, nothing is known of the way since."""
-    follow = follower(moving=True)
+    follow = follower(path=CameraPath(moving=True))
     covariances = []
     follow.tracker.update = lambda *_, motion_covariance, **__: covariances.append(motion_covariance) or {}
     places = []
@@ -103,7 +104,7 @@ def test_the_motion_up_to_a_frame_that_is_left_out_is_no_less_a_part_of_the_way(
 
 def test_a_camera_whose_motion_is_lost_has_no_place():
     """It goes on for a second; later motions know that nothing is known of those between."""
-    follow = follower(moving=True)
+    follow = follower(path=CameraPath(moving=True))
     assert [follow(record(n)).world_T_camera is None for n in range(4)] == [False, True, True, True]
     covariances = []
     follow.tracker.update = lambda *_, motion_covariance, **__: covariances.append(motion_covariance) or {}
@@ -121,7 +122,7 @@ def test_a_camera_whose_motion_is_lost_has_no_place():
 
 def test_the_world_is_given():
     poses = CameraPoses({n: step(float(n)).previous_T_current for n in (0, 2)})
-    follow = follower(poses=poses)
+    follow = follower(path=CameraPath(poses))
     places = [follow(record(n)).world_T_camera for n in range(3)]
     assert places[1] is None
     assert places[2][2, 3] == 2.0
@@ -130,7 +131,9 @@ def test_the_world_is_given():
 def test_an_estimate_is_in_the_world():
     (first,) = simulated(1, seeds=(25,))
     poses = CameraPoses({0: step(5.0).previous_T_current})
-    frame = follower(poses=poses, ground=Ground.level(1.65))(record(0, Sighting(first[0].box, 1.0, 1, first[0])))
+    frame = follower(path=CameraPath(poses), ground=Ground.level(1.65))(
+        record(0, Sighting(first[0].box, 1.0, 1, first[0]))
+    )
     estimate = frame.estimates[1]
     assert estimate.world_T_object[2, 3] == pytest.approx(estimate.reconstruction.location[2] + 5.0)
 
@@ -141,7 +144,9 @@ def test_speeds_are_of_the_world_or_there_are_none():
         (CameraPoses({n: step(0.5 * n).previous_T_current for n in range(4)}), [False, *[True] * 3, *[False] * 4]),
         (None, [False, *[True] * 7]),
     ):
-        follow = Follower(Tracker(), GatedAssociation(), KITTI_CAMERA, poses=poses, ground=Ground.level(1.65))
+        follow = Follower(
+            Tracker(), GatedAssociation(), KITTI_CAMERA, path=CameraPath(poses), ground=Ground.level(1.65)
+        )
         frames = [follow(record(n, Sighting(one.box, 1.0, 1, one))) for n, one in enumerate(first)]
         assert [frame.estimates[1].velocity is not None for frame in frames] == moving
         run = VideoRun(8, frames=FrameStore(frames))
@@ -187,7 +192,7 @@ def test_a_tracker_is_given_how_sure_a_motion_is():
             covariances.append(motion_covariance)
             return super().update(time, observations, **arguments)
 
-    follow = Follower(Listening(prior="car14"), GatedAssociation(), KITTI_CAMERA, moving=True)
+    follow = Follower(Listening(prior="car14"), GatedAssociation(), KITTI_CAMERA, path=CameraPath(moving=True))
     for one in (record(0), record(1, motion=step(1.0)), record(2)):
         follow(one)
     assert covariances[0] is None

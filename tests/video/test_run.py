@@ -29,6 +29,7 @@ from fgrecon.video import (
     rows_of,
     run_video,
 )
+from fgrecon.video.camera_path import CameraPath
 from fgrecon.video.coverage import coverage_warnings, planned_frames
 from fgrecon.video.video_job import VideoRequest, prepare_video, track_video
 from tests.video.streets import make_drive
@@ -58,7 +59,11 @@ def run(drive, out, *, most=None, moving=False, ground=GROUND, **arguments):
     images, file = drive
     look = Counting(CAR14, given=read_given(file, CAR14).vehicles)
     follower = Follower(
-        SingleImageTracker(prior="car14"), GatedAssociation(), KITTI_CAMERA, ground=ground, moving=moving
+        SingleImageTracker(prior="car14"),
+        GatedAssociation(),
+        KITTI_CAMERA,
+        ground=ground,
+        path=CameraPath(moving=moving),
     )
     found = run_video(
         open_frames(images, rate=10),
@@ -87,10 +92,12 @@ def test_a_run_has_every_frame(drive, tmp_path):
 @pytest.mark.parametrize("ahead", [0, 1, 2])
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("most", [1, 3, 6])
-def test_a_stopped_run_goes_on(drive, tmp_path, most, moving, ahead):
-    whole, _ = run(drive, tmp_path / "whole", moving=moving, ahead=0)
+def test_a_stopped_run_goes_on(drive, tmp_path, monkeypatch, most, moving, ahead):
+    monkeypatch.setattr("fgrecon.video.run.AHEAD", 0)
+    whole, _ = run(drive, tmp_path / "whole", moving=moving)
+    monkeypatch.setattr("fgrecon.video.run.AHEAD", ahead)
     assert whole.way == (pytest.approx(0.4 * 8, abs=0.1) if moving else None)
-    part, look = run(drive, tmp_path / "out", most=most, moving=moving, ahead=ahead)
+    part, look = run(drive, tmp_path / "out", most=most, moving=moving)
     assert (part.stopped, len(part.frames)) == (True, most)
     assert most <= look.looked <= most + 2 * (ahead + 1) * bool(ahead)
     assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("fgrecon")]
@@ -144,7 +151,9 @@ def test_an_error_of_a_stage_is_that_of_the_run(drive, tmp_path, stage):
         return True
 
     look = Failing(CAR14, given=read_given(drive[1], CAR14).vehicles)
-    follower = Follower(SingleImageTracker(prior="car14"), GatedAssociation(), KITTI_CAMERA, ground=GROUND, moving=True)
+    follower = Follower(
+        SingleImageTracker(prior="car14"), GatedAssociation(), KITTI_CAMERA, ground=GROUND, path=CameraPath(moving=True)
+    )
     source, motion = open_frames(drive[0], rate=10), Lost(KITTI_CAMERA, GROUND)
     turn = sys.getswitchinterval()
     with pytest.raises(ZeroDivisionError, match=stage):
@@ -197,7 +206,7 @@ def follow_with_poses(drive, out, poses, *, given=None, most=99):
     """A run with such poses of the camera, and vehicles for such frames instead of the file's."""
     vehicles = read_given(drive[1], CAR14).vehicles
     given = vehicles if given is None else dict.fromkeys(given, next(iter(vehicles.values())))
-    follower = Follower(SingleImageTracker(prior="car14"), GatedAssociation(), KITTI_CAMERA, poses=poses)
+    follower = Follower(SingleImageTracker(prior="car14"), GatedAssociation(), KITTI_CAMERA, path=CameraPath(poses))
     look, source = FrameDetector(CAR14, given=given), open_frames(drive[0], rate=10)
     go_on = {"go_on": lambda run, _: len(run.frames) < most}
     return run_video(source, look, follower, out, settings={"of": sorted(given)}, **go_on)
@@ -298,7 +307,7 @@ def test_kittis_frames_from_pixels(data, tmp_path):
     def go(out, most):
         look = FrameDetector(CAR14, vehicle_detector=detector, keypoint_detector=cascade)
         tracker = SingleImageTracker(prior="car14", size_prior="kitti")
-        follower = Follower(tracker, GatedAssociation(), camera, ground=GROUND, moving=True)
+        follower = Follower(tracker, GatedAssociation(), camera, ground=GROUND, path=CameraPath(moving=True))
         source, motion = open_frames(folder, rate=10, start=8.0, end=8.6), MotionEstimator(camera, GROUND)
         return run_video(
             *(source, look, follower, out), settings={}, motion=motion, go_on=lambda run, _: len(run.frames) < most

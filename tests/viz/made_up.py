@@ -21,6 +21,7 @@ from fgrecon.core.reconstruction import (
     Status,
     Uncertainty,
 )
+from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.viz import SolvedVehicle, Truth, recording_of, scene_recording_of
 
@@ -68,7 +69,6 @@ def make_example(seed: int = 0) -> Example:
                 history.append(_iteration(stage, irls, step, pose, share * coefficients, prior, camera, observation))
     last = history[-1]
     covariance = np.array([np.diag(rng.uniform(0.02, 0.1, size=3) ** 2) for _ in shape])
-    assert prior.surface is not None
     reconstruction = Reconstruction(
         status=Status.CONVERGED,
         message="the energy changed by less than 1e-9 of itself",
@@ -76,20 +76,7 @@ def make_example(seed: int = 0) -> Example:
             camera_T_object=last.camera_T_object,
             wireframe_uv=last.projections,
         ),
-        shape=Shape(
-            category="car14",
-            prior=prior.name,
-            keypoint_names=prior.category.keypoints,
-            coefficients=last.coefficients,
-            offsets=np.zeros_like(shape),
-            wireframe=last.keypoints,
-            edges=np.array(prior.category.edges),
-            box_size=prior.box_size(last.coefficients),
-            surface_vertices=prior.surface.vertices(last.coefficients),
-            surface_faces=np.asarray(prior.surface.faces, dtype=np.int64),
-            faces={face.name: face.keypoints for face in prior.category.faces},
-            symmetric_pairs=np.array(prior.category.symmetric_pairs),
-        ),
+        shape=_shape(prior, last),
         uncertainty=Uncertainty(
             pose_covariance=np.eye(6) * 1e-3,
             coefficients_covariance=np.eye(prior.dimension) * 0.1,
@@ -113,6 +100,24 @@ def make_example(seed: int = 0) -> Example:
     )
     truth = Truth(true_pose.matrix(), prior.box_size(coefficients), shape)
     return Example(reconstruction, observation, camera, _photograph(rng), truth, Ground.level(1.65))
+
+
+def _shape(prior: ShapePrior, last: Iteration) -> Shape:
+    assert prior.surface is not None
+    return Shape(
+        category="car14",
+        prior=prior.name,
+        keypoint_names=prior.category.keypoints,
+        coefficients=last.coefficients,
+        offsets=np.zeros_like(last.keypoints),
+        wireframe=last.keypoints,
+        edges=np.array(prior.category.edges),
+        box_size=prior.box_size(last.coefficients),
+        surface_vertices=prior.surface.vertices(last.coefficients),
+        surface_faces=np.asarray(prior.surface.faces, dtype=np.int64),
+        faces={face.name: face.keypoints for face in prior.category.faces},
+        symmetric_pairs=np.array(prior.category.symmetric_pairs),
+    )
 
 
 def _pose(rotation_y: float, origin: tuple[float, float, float]) -> gtsam.Pose3:

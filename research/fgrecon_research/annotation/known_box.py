@@ -30,7 +30,7 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.graph.covariance import marginals_of, projected_covariances
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import MultiStartResult, minimise_from_proposals
-from fgrecon.solve.inputs import observe
+from fgrecon.solve.inputs import SolveSetup, observe
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.starts import from_box3d
@@ -96,7 +96,7 @@ def fit_known_boxes(
     starts: list[PoseEstimate] = []
     extra: list[gtsam.NonlinearFactor] = []
     for number, view in enumerate(views):
-        observation, _ = observe(view.observation, view.camera, prior.category, options)
+        observation, _ = observe(view.observation, view.camera, SolveSetup(options, prior, model))
         try:
             problem = Problem.of(observation, view.camera, model, None, options)
         except DegenerateProblemError:

@@ -40,6 +40,7 @@ from fgrecon.perception.keypoints.decode import logit
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import GatedAssociation
+from fgrecon.video.camera_path import CameraPath
 from fgrecon.video.follow import Follower
 from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import FrameRecord, Sighting
@@ -262,7 +263,7 @@ def _estimates(
         return () if points is None else (points,)
 
     sense = scan if lidar else None
-    follower = Follower(tracker, association, camera, ground=setup.ground, moving=moving, sense=sense)
+    follower = Follower(tracker, association, camera, ground=setup.ground, path=CameraPath(moving=moving), sense=sense)
     online: dict[_Key, VehicleEstimate] = {}
     ids: dict[_Key, int] = {}
     places: dict[int, Array] = {}

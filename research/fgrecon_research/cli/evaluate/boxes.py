@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
 from typing import Annotated
@@ -65,13 +65,8 @@ def boxes_command(
     screen = terminal.screen(json_out)
     drives, places, texts = _drives(folder, results)
     sources = _sources(texts, drives, places)
-    frames = {
-        drive.name: sorted(set.intersection(*(set(boxes.get(drive.name, ())) for boxes in sources.values())))
-        for drive in drives
-    }
+    frames = _common_frames(drives, sources)
     spoken_of = [drive for drive in drives if frames[drive.name]]
-    if not spoken_of:
-        raise InvalidInputError("results", ", ".join(sources), "Give sources that speak of the same frames.")
     scored = {
         name: score_drives(spoken_of, boxes, frames, least=overlap, min_score=min_score)
         for name, boxes in sources.items()
@@ -106,6 +101,19 @@ def _drives(folder: Path, following: Sequence[str]) -> tuple[list[Drive], list[P
     drives = [open_drive(place) for place in places]
     check_names([drive.name for drive in drives])
     return drives, places, list(following[len(more) :])
+
+
+def _common_frames(
+    drives: Sequence[Drive], sources: Mapping[str, Mapping[str, Mapping[int, Objects]]]
+) -> dict[str, list[int]]:
+    """The frames of each drive that every source speaks of."""
+    frames = {
+        drive.name: sorted(set.intersection(*(set(boxes.get(drive.name, ())) for boxes in sources.values())))
+        for drive in drives
+    }
+    if not any(frames.values()):
+        raise InvalidInputError("results", ", ".join(sources), "Give sources that speak of the same frames.")
+    return frames
 
 
 def _sources(

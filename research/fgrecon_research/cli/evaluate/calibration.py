@@ -15,7 +15,7 @@ from fgrecon.cli.terminal import Terminal
 from fgrecon.core.coverage import SIGMAS
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.viz import save_picture
-from fgrecon_research.cli.evaluate.followed_drives import score_drives
+from fgrecon_research.cli.evaluate.followed_drives import Following, score_drives
 from fgrecon_research.evaluation.calibration import (
     Calibration,
     calibrate,
@@ -66,7 +66,7 @@ def calibration_command(
     given: dict[str, Any] = {"ground": known.origin, "size_prior": labelled.size_prior}
     found: dict[str, Calibration] = {}
     if folders:
-        scored = score_drives(how, folders, labelled, screen, track=track)
+        scored = score_drives(how, folders, labelled, screen, following=Following(track, estimate_motion=False))
         given |= {"drives": [drive.name for drive in scored.drives], "traffic": how.traffic}
         given |= {"boxes": scored.request.boxes, "box_model": scored.request.encloses.value}
         methods = (SYSTEM, ONLINE, BATCH) if track else (SYSTEM,)

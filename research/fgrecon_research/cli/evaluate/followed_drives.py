@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from fgrecon.calibration.labelled_drives import ScoredDrives
 from fgrecon.calibration.labelled_frames import Rivals
@@ -21,36 +24,69 @@ from fgrecon_research.evaluation.video_tracks import follow_boxes
 from fgrecon_research.io.drive_sensors import Sensor, with_sensors
 
 
+@dataclass(frozen=True)
+class Following:
+    """Whether and how the vehicles are followed over time as well."""
+
+    track: Annotated[
+        bool,
+        typer.Option(
+            "--track",
+            help="Follow the vehicles by their labelled ids as well: online, and in batch (`fgrecon.Tracker`); "
+            "score velocities, and covariances against errors.",
+        ),
+    ] = False
+    forget_ids: Annotated[
+        bool, typer.Option("--forget-ids", help="Follow without the labelled ids, as `fgrecon run` associates.")
+    ] = False
+    estimate_motion: Annotated[
+        bool | None,
+        typer.Option(
+            "--estimate-motion/--no-estimate-motion",
+            help="Follow with the camera's motion as well, as the images tell it.",
+            show_default="with --track and a ground",
+        ),
+    ] = None
+
+    def moving(self, labelled: LabelledScene) -> bool:
+        """Whether the camera's motion is estimated.
+
+        Raises:
+            InvalidInputError: Something is requested of vehicles that are not followed, or there is no ground.
+        """
+        if self.forget_ids and not self.track:
+            raise InvalidInputError("forget_ids", "true", "Give --track as well: single images have no ids.")
+        if self.estimate_motion and not self.track:
+            raise InvalidInputError("estimate_motion", "true", "Give --track as well: single images know no motion.")
+        if self.estimate_motion and labelled.ground == NOT_GIVEN:
+            fix = "Give a ground, which says how far the camera goes, or leave --estimate-motion out."
+            raise InvalidInputError("estimate_motion", "no ground", fix)
+        return (self.track and labelled.ground != NOT_GIVEN) if self.estimate_motion is None else self.estimate_motion
+
+
 def score_drives(
     how: DriveOptions,
     folders: Sequence[Path],
     labelled: LabelledScene,
     screen: Screen,
     *,
+    following: Following,
     rivals: Sequence[str] = (),
     sensors: Collection[Sensor] = (),
-    track: bool = False,
-    forget_ids: bool = False,
-    estimate_motion: bool = False,
 ) -> ScoredDrives:
     """Reconstruct the labelled boxes that count, follow them if that is requested, and score.
 
     Args:
         screen: Where progress is shown.
+        following: Whether and how the vehicles are followed as well; detected ones have no ids.
         rivals: Methods that get the same keypoints.
         sensors: Those whose methods are scored as well, on the frames that have their files.
-        track: Whether the vehicles are followed as well.
-        forget_ids: Whether the vehicles that are followed are given ids anew; detected ones have none.
-        estimate_motion: Whether they are followed with the camera's estimated motion as well.
 
     Raises:
-        InvalidInputError: As `DriveOptions.score` does; there is no method of a name; or the camera's motion is to be
-            estimated without a ground.
+        InvalidInputError: As `DriveOptions.score` and `Following.moving` do; or there is no method of a name.
     """
     select(rivals)  # refuse before the work
-    if estimate_motion and labelled.ground == NOT_GIVEN:
-        fix = "Give a ground, which says how far the camera goes, or leave --estimate-motion out."
-        raise InvalidInputError("estimate_motion", "no ground", fix)
+    track, moving = following.track, following.moving(labelled)
     if track and (others_of := [one for one in sensors if one is not Sensor.LIDAR]):
         fix = "Leave --track out: what follows vehicles takes pictures and a LiDAR's points."
         raise InvalidInputError("track", f"with {', '.join(others_of)}", fix)
@@ -72,9 +108,9 @@ def score_drives(
             scored.frames,
             scored.drives,
             scored.setups,
-            forget_ids=forget_ids or how.detect,
-            estimate_motion=estimate_motion,
+            forget_ids=following.forget_ids or how.detect,
+            estimate_motion=moving,
             lidar=Sensor.LIDAR in sensors,
-            advance=counting(advance, "Followed", (1 + estimate_motion) * len(scored.frames)),
+            advance=counting(advance, "Followed", (1 + moving) * len(scored.frames)),
         )
     return replace(scored, boxes=boxes)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from fgrecon.calibration.labelled_drives import GivenScene
 from fgrecon.calibration.setup import Setup
 from fgrecon.cli.options import Delivery, JsonOption, LabelledScene, TogetherOption, TrafficOption, WeightsOption
 from fgrecon.cli.outputs import check_not_over, check_outputs
-from fgrecon.cli.terminal import Terminal
-from fgrecon.core.choices import BoxModel, TrafficSide
+from fgrecon.cli.terminal import Screen, Terminal
+from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.core.text import counted
@@ -27,7 +29,7 @@ from fgrecon.viz.subjects import Truth
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption, MarkdownOption, ResultsOption
 from fgrecon_research.evaluation import kitti_images
 from fgrecon_research.evaluation.boxes_summary import plain_boxes, tables
-from fgrecon_research.evaluation.kitti_images import Car, score_boxes, summarise
+from fgrecon_research.evaluation.kitti_images import Car, ImageBoxes, ImageFrame, score_boxes, summarise
 from fgrecon_research.evaluation.measures import THRESHOLDS
 from fgrecon_research.evaluation.text_table import TextTable
 from fgrecon_research.io.kitti_sets import read_image_set, stated_model, write_results
@@ -46,6 +48,9 @@ class KittiFolders:
     images: Annotated[Path | None, _folder("Images", "image_2")] = None
     labels: Annotated[Path | None, _folder("Label files", "label_2")] = None
     calib: Annotated[Path | None, _folder("Calibration files", "calib")] = None
+    split: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File of frame names.", show_default="all images")
+    ] = None
 
     def paths(self) -> tuple[Path, Path, Path]:
         """Folders of images, labels and calibrations.
@@ -68,8 +73,8 @@ class KittiFolders:
 
 
 @dataclass(frozen=True)
-class KittiBoxes:
-    """The 2D boxes that cars are looked for in."""
+class KittiCars:
+    """The 2D boxes that cars are looked for in, and how they are reconstructed."""
 
     boxes: Annotated[
         Path | None,
@@ -86,30 +91,57 @@ class KittiBoxes:
         BoxModel | None,
         typer.Option(help="What the 2D boxes enclose.", show_default="cuboid; of FILE what its lines say"),
     ] = None
+    weights: WeightsOption = None
+    together: TogetherOption = True
+    traffic: TrafficOption = None
 
-    @property
-    def enclose(self) -> BoxModel:
-        """What they enclose."""
+    def setup(self, known: GivenScene) -> Setup:
+        """What every car is reconstructed with."""
         stated = stated_model(self.boxes) if self.boxes is not None and self.box_model is None else None
-        return self.box_model or stated or BoxModel.CUBOID
+        return Setup(
+            detector=KeypointCascade(self.weights),
+            prior=known.scene.prior,
+            ground=known.ground,
+            size_prior=known.size,
+            options=Options(box=self.box_model or stated or BoxModel.CUBOID, traffic=self.traffic),
+            overlap=self.overlap,
+            together=self.together,
+        )
+
+
+@dataclass(frozen=True)
+class KittiOutputs:
+    """What is written beside the tables."""
+
+    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Contact sheet of every car.")] = None
+    results_out: ResultsOption = None
+    markdown: MarkdownOption = None
+    json_out: JsonOption = None
+
+    def check(self, frames: Sequence[ImageFrame], inputs: Sequence[Path]) -> None:
+        """Refuse results that would go over labels or calibrations in some folders."""
+        if self.results_out is None:
+            return
+        check_folder(self.results_out)
+        for frame in frames:
+            name = f"{frame.name}.txt"
+            check_not_over("results", self.results_out / name, [folder / name for folder in inputs])
+
+    def write(self, found: ImageBoxes, made: Sequence[TextTable], screen: Screen) -> None:
+        """The tables as Markdown, and the boxes."""
+        screen.write_text(self.markdown, "\n".join(one.markdown() for one in made))
+        if self.results_out is not None:
+            write_results(self.results_out, found.results)
+            screen.wrote(self.results_out)
 
 
 def kitti_command(
     folders: KittiFolders,
-    boxes: KittiBoxes,
+    cars: KittiCars,
     labelled: LabelledScene,
+    outputs: KittiOutputs,
     delivery: Delivery,
     terminal: Terminal,
-    split: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="File of frame names.", show_default="all images")
-    ] = None,
-    weights: WeightsOption = None,
-    together: TogetherOption = True,
-    traffic: TrafficOption = None,
-    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Contact sheet of every car.")] = None,
-    results_out: ResultsOption = None,
-    markdown: MarkdownOption = None,
-    json_out: JsonOption = None,
 ) -> None:
     """Find keypoints in KITTI's images, reconstruct every labelled car, and score poses and 3D boxes.
 
@@ -119,74 +151,49 @@ def kitti_command(
 
     Exit code 1: no car could be reconstructed.
     """
-    check_outputs(json_out, markdown, picture=picture)
+    check_outputs(outputs.json_out, outputs.markdown, picture=outputs.picture)
     delivery.check()
-    screen = terminal.screen(json_out)
-    paths = folders.paths()
-    setup, origin = _setup(boxes, labelled, weights, traffic, together=together)
-    names = None if split is None else read_image_set(split)
-    frames, problems = kitti_images.read_frames(*paths, names, boxes.boxes)
-    if results_out is not None:
-        check_folder(results_out)
-        for frame in frames:
-            name = f"{frame.name}.txt"
-            check_not_over("results", results_out / name, [paths[1] / name, paths[2] / name])
-    cars = [car for frame in screen.watch(frames, "Images") for car in kitti_images.score_frame(frame, setup)]
+    screen = terminal.screen(outputs.json_out)
+    paths, known = folders.paths(), labelled.given()
+    setup = cars.setup(known)
+    names = None if folders.split is None else read_image_set(folders.split)
+    frames, problems = kitti_images.read_frames(*paths, names, cars.boxes)
+    outputs.check(frames, paths[1:])
+    scored = [car for frame in screen.watch(frames, "Images") for car in kitti_images.score_frame(frame, setup)]
 
-    kind = "detected" if boxes.boxes else "labelled"
-    images = counted(len(frames), "image")
-    found = score_boxes(frames, cars)
+    kind = "detected" if cars.boxes else "labelled"
+    found = score_boxes(frames, scored)
     made = tables({f"{kind} boxes": found.groups}, {f"{kind} boxes": found.curves})
-    screen.print(f"{images}, {counted(len(cars), 'car')}, {kind} boxes; {origin}.", _table(cars).shown())
+    images = counted(len(frames), "image")
+    screen.print(f"{images}, {counted(len(scored), 'car')}, {kind} boxes; {known.origin}.", _table(scored).shown())
     screen.print(*(one.shown() for one in made))
-    for car in cars:
-        error = car.failure or f"{car.degrees:.1f} degrees, {car.metres:.2f} m"
-        screen.detail(f"{car.frame}/{car.index}: {error}")
+    for car in scored:
+        screen.detail(f"{car.frame}/{car.index}: {car.failure or f'{car.degrees:.1f} degrees, {car.metres:.2f} m'}")
     screen.print(*map(str, problems))
     given = {
         "images": len(frames),
-        "boxes": "labels" if boxes.boxes is None else boxes.boxes.name,
-        "overlap": boxes.overlap,
-        "ground": origin,
+        "boxes": "labels" if cars.boxes is None else cars.boxes.name,
+        "overlap": cars.overlap,
+        "ground": known.origin,
         "size_prior": labelled.size_prior,
         "box_model": setup.options.box.model.value,
-        "together": together,
-        "traffic": traffic,
+        "together": cars.together,
+        "traffic": cars.traffic,
         "network": setup.detector.provenance,
     }
-    content = kitti_images.document(cars, given)
+    content = kitti_images.document(scored, given)
     content["boxes"] = plain_boxes(found.groups, found.curves, found.vehicles)
     screen.write_json(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    screen.write_text(markdown, "\n".join(one.markdown() for one in made))
-    if results_out is not None:
-        write_results(results_out, found.results)
-        screen.wrote(results_out)
-    wanted = picture is not None or delivery.requested
-    sights = _sights(cars, {frame.name: frame.image for frame in frames}) if wanted else []
-    if picture is not None and sights:
-        screen.wrote(save_picture(picture, contact_sheet(sights, columns=5)))
+    outputs.write(found, made, screen)
+    drawn = outputs.picture is not None or delivery.requested
+    sights = _sights(scored, {frame.name: frame.image for frame in frames}) if drawn else []
+    if outputs.picture is not None and sights:
+        screen.wrote(save_picture(outputs.picture, contact_sheet(sights, columns=5)))
     if delivery.requested:
         delivery.deliver(recordings_of(sights, setup.ground), screen, several=True)
-    if not any(car.failure is None for car in cars):
+    if not any(car.failure is None for car in scored):
         screen.fail("No car could be reconstructed.")
         raise typer.Exit(1)
-
-
-def _setup(
-    boxes: KittiBoxes, labelled: LabelledScene, weights: Path | None, traffic: TrafficSide | None, *, together: bool
-) -> tuple[Setup, str]:
-    """What every car is reconstructed with, and in words where the ground plane comes from."""
-    known = labelled.given()
-    setup = Setup(
-        detector=KeypointCascade(weights),
-        prior=known.scene.prior,
-        ground=known.ground,
-        size_prior=known.size,
-        options=Options(box=boxes.enclose, traffic=traffic),
-        overlap=boxes.overlap,
-        together=together,
-    )
-    return setup, known.origin
 
 
 def _table(cars: list[Car]) -> TextTable:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -26,6 +27,37 @@ from fgrecon_research.evaluation.refined import RefinedVehicle, Refinement, comp
 from fgrecon_research.evaluation.text_table import TextTable
 
 
+@dataclass(frozen=True)
+class BoxesBefore:
+    """The 3D boxes that are refined."""
+
+    boxes: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER|FILE",
+            help="A detector's boxes of the only drive, as for `evaluate boxes`.",
+            show_default="the labelled ones, disturbed by the errors given",
+        ),
+    ] = None
+    min_score: Annotated[float, typer.Option(help="Boxes of a lower score are none.")] = 0.5
+    seed: Annotated[int, typer.Option(help="Of the errors that labels are disturbed by.")] = 0
+    every: Annotated[int, typer.Option(min=1, help="Take every so many of the images that count.")] = 1
+
+    def of(self, drive: Drive, number: int, place: Path) -> np.random.Generator | dict[int, Objects]:
+        """A detector's cars of a drive by frame, or what the labels of the drive of that number are disturbed by."""
+        if self.boxes is None:
+            return np.random.default_rng([self.seed, number])
+        found = (
+            submitted_boxes(self.boxes, place)
+            if is_submission(self.boxes)
+            else read_boxes(self.boxes, [frame.number for frame in drive.frames])
+        )
+        return {
+            frame: one.take(np.array([kind == "Car" for kind in one.kind], dtype=bool) & (one.score >= self.min_score))
+            for frame, one in found.items()
+        }
+
+
 def refine_evaluation_command(
     folders: Annotated[
         list[Path],
@@ -36,18 +68,8 @@ def refine_evaluation_command(
     ],
     scene: SceneOptions,
     errors: BoxErrorOptions,
+    before: BoxesBefore,
     terminal: Terminal,
-    boxes: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER|FILE",
-            help="A detector's boxes of the only drive, as for `evaluate boxes`.",
-            show_default="the labelled ones, disturbed by the errors given",
-        ),
-    ] = None,
-    min_score: Annotated[float, typer.Option(help="Boxes of a lower score are none.")] = 0.5,
-    seed: Annotated[int, typer.Option(help="Of the errors that labels are disturbed by.")] = 0,
-    every: Annotated[int, typer.Option(min=1, help="Take every so many of the images that count.")] = 1,
     weights: WeightsOption = None,
     fold: FoldOption = None,
     json_out: JsonOption = None,
@@ -66,20 +88,16 @@ def refine_evaluation_command(
     settings = scene.settings(
         Options(strategy=scene.strategy, box=BoxOptions(model=BoxModel.CUBOID), keep_history=False)
     )
-    if boxes is not None and len(drives) > 1:
-        raise InvalidInputError("boxes", str(boxes), "Give the one drive that they are of.")
+    if before.boxes is not None and len(drives) > 1:
+        raise InvalidInputError("boxes", str(before.boxes), "Give the one drive that they are of.")
     networks = {file: KeypointCascade(file) for file in dict.fromkeys(files.values())}
     vehicles = []
     with screen.bar() as advance:
         for number, drive in enumerate(drives):
             how = Refinement(networks[files[drive.name]], settings, errors.errors())
-            source = (
-                np.random.default_rng([seed, number])
-                if boxes is None
-                else _cars(boxes, drive, folders[number], min_score)
-            )
-            count = counting(advance, drive.name, len(drive.frames) // every)
-            vehicles += refine_drive(drive, source, how, every=every, advance=count)
+            source = before.of(drive, number, folders[number])
+            count = counting(advance, drive.name, len(drive.frames) // before.every)
+            vehicles += refine_drive(drive, source, how, every=before.every, advance=count)
     if not vehicles:
         raise InvalidInputError("drives", ", ".join(d.name for d in drives), "Give drives with labelled boxes.")
     screen.print(_table(vehicles).shown())
@@ -87,9 +105,9 @@ def refine_evaluation_command(
         screen.detail(f"{one.drive}/{one.frame:06d}/{one.index} {one.kind}: {_change(one)}. {one.message}")
     given = {
         "drives": [drive.name for drive in drives],
-        "boxes": "disturbed labels" if boxes is None else str(boxes),
-        "seed": seed,
-        "every": every,
+        "boxes": "disturbed labels" if before.boxes is None else str(before.boxes),
+        "seed": before.seed,
+        "every": before.every,
         "networks": {name: "shipped" if file is None else str(file) for name, file in files.items()},
         "box_errors": vars(errors),
         "ground": settings.ground is not None,
@@ -98,19 +116,6 @@ def refine_evaluation_command(
     if not any(one.changed for one in vehicles):
         screen.fail("No box was refined.")
         raise typer.Exit(1)
-
-
-def _cars(boxes: Path, drive: Drive, place: Path, min_score: float) -> dict[int, Objects]:
-    """A detector's cars by frame."""
-    found = (
-        submitted_boxes(boxes, place)
-        if is_submission(boxes)
-        else read_boxes(boxes, [frame.number for frame in drive.frames])
-    )
-    return {
-        frame: one.take(np.array([kind == "Car" for kind in one.kind], dtype=bool) & (one.score >= min_score))
-        for frame, one in found.items()
-    }
 
 
 def _change(one: RefinedVehicle) -> str:

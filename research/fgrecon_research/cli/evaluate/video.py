@@ -12,18 +12,17 @@ import typer
 
 from fgrecon.calibration.labelled_drives import ScoredDrives
 from fgrecon.calibration.labelled_frames import ScoredFrame, reconstruct_frame
-from fgrecon.cli.options import NOT_GIVEN, DriveOptions, DrivesArgument, JsonOption, LabelledScene, fitting_names
+from fgrecon.cli.options import DriveOptions, DrivesArgument, JsonOption, LabelledScene, fitting_names
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Screen, Terminal
 from fgrecon.core.coverage import Reliability
-from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export.formats import TABLE_FORMATS, export_rows
 from fgrecon.io.files import check_ending, check_folder, write_text
 from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.viz import SolvedVehicle, contact_sheet, save_picture
 from fgrecon.viz.subjects import Truth
 from fgrecon_research.cli.evaluate.data_options import MarkdownOption, ResultsOption
-from fgrecon_research.cli.evaluate.followed_drives import score_drives
+from fgrecon_research.cli.evaluate.followed_drives import Following, score_drives
 from fgrecon_research.evaluation.methods import METHODS
 from fgrecon_research.evaluation.video_summary import (
     document,
@@ -42,43 +41,6 @@ _COLUMNS = 5
 
 def _rivals() -> list[str]:
     return list(METHODS)
-
-
-@dataclass(frozen=True)
-class Following:
-    """Whether and how the vehicles are followed over time as well."""
-
-    track: Annotated[
-        bool,
-        typer.Option(
-            "--track",
-            help="Follow the vehicles by their labelled ids as well: online, and in batch (`fgrecon.Tracker`); "
-            "score velocities, and covariances against errors.",
-        ),
-    ] = False
-    forget_ids: Annotated[
-        bool, typer.Option("--forget-ids", help="Follow without the labelled ids, as `fgrecon run` associates.")
-    ] = False
-    estimate_motion: Annotated[
-        bool | None,
-        typer.Option(
-            "--estimate-motion/--no-estimate-motion",
-            help="Follow with the camera's motion as well, as the images tell it.",
-            show_default="with --track and a ground",
-        ),
-    ] = None
-
-    def moving(self, labelled: LabelledScene) -> bool:
-        """Whether the camera's motion is estimated.
-
-        Raises:
-            InvalidInputError: Something is requested of vehicles that are not followed.
-        """
-        if self.forget_ids and not self.track:
-            raise InvalidInputError("forget_ids", "true", "Give --track as well: single images have no ids.")
-        if self.estimate_motion and not self.track:
-            raise InvalidInputError("estimate_motion", "true", "Give --track as well: single images know no motion.")
-        return (self.track and labelled.ground != NOT_GIVEN) if self.estimate_motion is None else self.estimate_motion
 
 
 @dataclass(frozen=True)
@@ -173,15 +135,9 @@ def video_command(
     Exit code 1: no box could be reconstructed.
     """
     outputs.check()
-    moving = following.moving(labelled)
     screen = terminal.screen(outputs.json_out)
     scored = score_drives(
-        *(how, folders, labelled, screen),
-        rivals=rival or [_RIVAL],
-        sensors=sensors.chosen,
-        track=following.track,
-        forget_ids=following.forget_ids,
-        estimate_motion=moving,
+        *(how, folders, labelled, screen), following=following, rivals=rival or [_RIVAL], sensors=sensors.chosen
     )
     boxes, summaries = scored.boxes, summarise_groups(scored.boxes)
     screen.print(scored.in_words())
@@ -194,7 +150,7 @@ def video_command(
             error = found.failure or f"{found.degrees:.1f} degrees, {found.metres:.2f} m"
             screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {error}")
     given = _given(scored, labelled, how, following) | {
-        "estimate_motion": moving,
+        "estimate_motion": following.moving(labelled),
         "sensors": sensors.chosen,
     }
     content = document(boxes, summaries, given, scored.networks())

@@ -222,7 +222,8 @@ def train_command(
     with screen.bar(per_minute=True) as advance:
         display = TrainingDisplay(screen, advance)
         if chosen is None:
-            from fgrecon_research.training.keypoints.networks import Beginning, Plan, train_networks
+            from fgrecon_research.training.keypoints.networks import Plan, train_networks
+            from fgrecon_research.training.keypoints.rounds import Beginning
 
             beginning = Beginning(**_of(Beginning, given))
             plan = Plan(**_of(Plan, given))

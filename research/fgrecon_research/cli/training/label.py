@@ -91,13 +91,55 @@ class UnboxedOptions:
         return Unboxed(plane and plane[0], None if self.size_prior is None else size_prior(self.size_prior))
 
 
-def _check_tracked(folders: list[Path], known: Unboxed | None) -> None:
-    """Refuse a tracker's results that fit no drive, or of whose vehicles nothing is known."""
-    if len(folders) > 1:
-        raise InvalidInputError("--tracks", f"{len(folders)} drives", "Give one drive: the file is of one.")
-    if known is None:
-        fix = "Give --camera-height, --ground or --size-prior as well: its vehicles have no labelled boxes."
-        raise InvalidInputError("--tracks", "nothing known of its vehicles", fix)
+@dataclass(frozen=True)
+class LabelSource:
+    """What the labels are made of, beside the images."""
+
+    tracks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Instead of label_02.txt: 2D boxes and ids of a tracker (KITTI tracking, such as tracks.txt of "
+            "`fgrecon run`).",
+        ),
+    ] = None
+    lidar: Annotated[
+        bool,
+        typer.Option("--lidar", help="Take the LiDAR's points of each frame that has some (lidar or velodyne beside)."),
+    ] = False
+    weights: WeightsOption = None
+    prior: PriorOption = "car14"
+
+    def drives(self, folders: Sequence[Path], known: Unboxed | None) -> list[Drive]:
+        """The drives in some folders.
+
+        Raises:
+            InvalidInputError: A tracker's results fit no drive, or nothing is known of their vehicles.
+        """
+        if self.tracks is None:
+            return [open_drive(folder) for folder in folders]
+        if len(folders) > 1:
+            raise InvalidInputError("--tracks", f"{len(folders)} drives", "Give one drive: the file is of one.")
+        if known is None:
+            fix = "Give --camera-height, --ground or --size-prior as well: its vehicles have no labelled boxes."
+            raise InvalidInputError("--tracks", "nothing known of its vehicles", fix)
+        return [read_drive(folder.absolute(), self.tracks) for folder in folders]
+
+
+@dataclass(frozen=True)
+class LabelOutputs:
+    """What is written."""
+
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The labels: COCO keypoints (JSON).")]
+    meshes: Annotated[bool, typer.Option("--meshes", help="Also write each vehicle's surface.")] = False
+    terms: Annotated[
+        str,
+        typer.Option("--license", metavar="TEXT", help="Terms of the images, such as CC BY-NC-SA 3.0, for the file."),
+    ] = ""
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw some of the labelled vehicles (png, jpg, svg, pdf).")
+    ] = None
+    json_out: JsonOption = None
 
 
 def label_command(
@@ -109,33 +151,11 @@ def label_command(
             "or FOLDER#SEQUENCE/CAMERA of a data set.",
         ),
     ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The labels: COCO keypoints (JSON).")],
+    outputs: LabelOutputs,
     which: SelectionOptions,
     unboxed: UnboxedOptions,
+    source: LabelSource,
     terminal: Terminal,
-    tracks: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Instead of label_02.txt: 2D boxes and ids of a tracker (KITTI tracking, such as tracks.txt of "
-            "`fgrecon run`).",
-        ),
-    ] = None,
-    lidar: Annotated[
-        bool,
-        typer.Option("--lidar", help="Take the LiDAR's points of each frame that has some (lidar or velodyne beside)."),
-    ] = False,
-    weights: WeightsOption = None,
-    prior: PriorOption = "car14",
-    meshes: Annotated[bool, typer.Option("--meshes", help="Also write each vehicle's surface.")] = False,
-    terms: Annotated[
-        str,
-        typer.Option("--license", metavar="TEXT", help="Terms of the images, such as CC BY-NC-SA 3.0, for the file."),
-    ] = "",
-    picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw some of the labelled vehicles (png, jpg, svg, pdf).")
-    ] = None,
-    json_out: JsonOption = None,
 ) -> None:
     """Label the keypoints of vehicles whose 3D boxes are known, hidden ones as well, all images of each together.
 
@@ -146,28 +166,24 @@ def label_command(
 
     Exit code 0: labels were written; 1: no vehicle could be labelled; 2: bad usage or input.
     """
-    check_outputs(json_out, out, picture=picture)
-    check_ending(out, ["json"])
-    screen = terminal.screen(json_out)
-    selection, known, shape_prior = which.selection(), unboxed.known(), load_prior(prior)
-    if tracks is None:
-        drives = [open_drive(folder) for folder in folders]
-    else:
-        _check_tracked(folders, known)
-        drives = [read_drive(folder.absolute(), tracks) for folder in folders]
-    detector = KeypointCascade(weights)
+    check_outputs(outputs.json_out, outputs.out, picture=outputs.picture)
+    check_ending(outputs.out, ["json"])
+    screen = terminal.screen(outputs.json_out)
+    selection, known, shape_prior = which.selection(), unboxed.known(), load_prior(source.prior)
+    drives = source.drives(folders, known)
+    detector = KeypointCascade(source.weights)
     with screen.bar() as advance:
         watch = partial(stepwise, advance=advance)
-        done = label_drives(drives, detector, shape_prior, watch, selection, known, lidar=lidar)
-    labels = labels_of(done, shape_prior, detector.provenance, terms)
+        done = label_drives(drives, detector, shape_prior, watch, selection, known, lidar=source.lidar)
+    labels = labels_of(done, shape_prior, detector.provenance, outputs.terms)
     show(screen, done, labels)
     screen.write_json(document(done, labels))
     if not labels.vehicles:
         screen.fail("no vehicle could be labelled.")
         raise typer.Exit(1)
-    screen.wrote(write_coco_keypoints(out, labels, meshes=meshes))
-    if picture is not None:
-        screen.wrote(draw(picture, labels))
+    screen.wrote(write_coco_keypoints(outputs.out, labels, meshes=outputs.meshes))
+    if outputs.picture is not None:
+        screen.wrote(draw(outputs.picture, labels))
 
 
 _LEARNT = "Car", "Van", "Truck"  # of the last the direction and the kind

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -122,15 +122,11 @@ def learn_command(
     screen = terminal.screen()
     with screen.bar() as advance:
         learnt = learn_prior(
-            kind,
-            data.keypoints,
+            data if annotations.even_views else replace(data, views=None),
             size=size,
             options=learning.options(least),
-            views=data.views if annotations.even_views else None,
-            vehicles=data.vehicles,
             proportions=learning.proportions,
             name=name or out.stem,
-            provenance={"source": data.source},
             progress=_progress_callback(advance) if screen.bars else None,
         )
     save_prior(learnt.prior, out)

@@ -21,7 +21,8 @@ class Annotations:
     category: Category  # The category whose keypoint order the arrays follow
     # (M, K, 2) pixels (u, v), pixel centres at integers; NaN where a keypoint was not marked
     keypoints: NDArray[np.float64]
-    names: tuple[str, ...]  # (M,) a name for each instance, for messages: the image, and the object within it
+    # (M,) a name for each instance, for messages: the image, and the object within it; () counts them
+    names: tuple[str, ...] = ()
     # (M,) identity of the vehicle that an instance shows; None where it is not known
     vehicles: NDArray[Any] | None = None
     views: NDArray[Any] | None = None  # (M,) class of the direction from which it is seen; None where it is not known
@@ -35,6 +36,8 @@ class Annotations:
         """
         keypoints = as_shape("keypoints", self.keypoints, (None, self.category.size, 2))
         count = len(keypoints)
+        if not self.names:
+            object.__setattr__(self, "names", tuple(map(str, range(count))))
         if len(self.names) != count:
             raise InvalidInputError("names", f"{len(self.names)} names", f"Give one for each of {count} instances.")
         for field in ("vehicles", "views"):

@@ -10,7 +10,7 @@ drawn where the photograph shows neither.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -35,6 +35,16 @@ _SMOOTH = 3.0  # standard deviation in pixels of the smoothing of the background
 _STUB = np.array([0.010, 0.014, 0.022])  # half of a mirror along, up and across the car, in its diagonals
 _STUB_SHADE = 0.1, 1.0  # brightness of a drawn mirror, of the car's own
 _NEAR = 7  # pixels around a keypoint of which one has to be shown, for its label to be believed
+
+
+@dataclass(frozen=True, eq=False)
+class SolidCar:
+    """The shape behind a photograph, in the unit of the pose."""
+
+    vertices: Array  # (V, 3) of the surface
+    faces: NDArray[np.integer]  # (F, 3) its triangles
+    mirrors: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (P, 3) where mirrors stand out of the surface
+    shade: float = 0.5  # brightness of those that the photograph does not show, of the car's own
 
 
 @dataclass(frozen=True)
@@ -71,13 +81,13 @@ def random_distant_view(
     surface = surface_of(prior)
     low, high = np.log(_DISTANCES)
     factor = float(np.exp(rng.uniform(low, high)) / np.linalg.norm(car.translation))
-    vertices = surface.vertices(fit.coefficients)
     mirrors = prior.keypoints(fit.coefficients, fit.offsets)[prior.category.off_faces]
     shade = float(rng.uniform(*_STUB_SHADE))
+    solid = SolidCar(surface.vertices(fit.coefficients), surface.faces, mirrors, shade)
     for _ in range(_TRIES):
         if factor < _LEAST:
             return None
-        distant = distant_view(image, mask, car, vertices, surface.faces, factor, side, mirrors, shade)
+        distant = distant_view(image, mask, car, solid, factor, side)
         if distant.made_up <= _MADE_UP:
             return distant
         factor = 1.0 + (factor - 1.0) / 2.0
@@ -106,12 +116,9 @@ def distant_view(
     image: Pixels,
     mask: Pixels,
     car: PosedCar,
-    vertices: Array,
-    faces: NDArray[np.integer],
+    solid: SolidCar,
     factor: float,
     side: int,
-    mirrors: Array | None = None,
-    shade: float = 0.5,
 ) -> DistantView:
     """The photograph seen again from `factor` times the distance.
 
@@ -119,16 +126,12 @@ def distant_view(
         image: (H, W, 3) RGB.
         mask: (H, W) 255 on the car.
         car: Camera and pose, in pixels of this image.
-        vertices: (V, 3) of the car's surface, in the unit of the pose.
-        faces: (F, 3) its triangles.
         factor: At least 1.
         side: Longest side of the new image, pixels.
-        mirrors: (P, 3) where mirrors stand out of the surface.
-        shade: Brightness of those that the photograph does not show, of the car's own.
     """
-    far = dolly_zoom(car, vertices, factor, side)
-    body = len(vertices)
-    vertices, faces = _with_stubs(vertices, faces, np.zeros((0, 3)) if mirrors is None else mirrors)
+    far = dolly_zoom(car, solid.vertices, factor, side)
+    body = len(solid.vertices)
+    vertices, faces = _with_stubs(solid)
     seen, towards = _seen(far, vertices, faces)
     points = seen.interpolate(vertices, towards)
     depth = _depth(_seen(car, vertices, faces)[0], car.size)
@@ -143,7 +146,9 @@ def distant_view(
     outline = cv2.remap(mask, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     outline[seen.rows[~shown], seen.columns[~shown]] = 255
     drawn = ~valid & (towards[seen.face, 0] >= body)
-    new[seen.rows[drawn], seen.columns[drawn]] = shade * np.median(new[seen.rows[valid], seen.columns[valid]], axis=0)
+    new[seen.rows[drawn], seen.columns[drawn]] = solid.shade * np.median(
+        new[seen.rows[valid], seen.columns[valid]], axis=0
+    )
     true = np.zeros(outline.shape, dtype=np.bool_)
     true[seen.rows, seen.columns] = valid | drawn
     scale = float(far.matrix[0, 0] / car.matrix[0, 0] / factor)
@@ -151,12 +156,13 @@ def distant_view(
     return DistantView(np.asarray(new, dtype=np.uint8), np.asarray(outline, dtype=np.uint8), far, scale, made_up, true)
 
 
-def _with_stubs(vertices: Array, faces: NDArray[np.integer], centres: Array) -> tuple[Array, NDArray[np.integer]]:
-    """The surface, and an ellipsoid around each of the centres (P, 3)."""
+def _with_stubs(solid: SolidCar) -> tuple[Array, NDArray[np.integer]]:
+    """The surface, and an ellipsoid around each mirror."""
     corner, triangle = _ball()
-    count = len(vertices) + len(corner) * np.arange(len(centres))
-    stubs = (centres[:, None] + _STUB * corner).reshape(-1, 3)
-    return np.concatenate([vertices, stubs]), np.concatenate([faces, *(triangle + first for first in count)])
+    count = len(solid.vertices) + len(corner) * np.arange(len(solid.mirrors))
+    stubs = (solid.mirrors[:, None] + _STUB * corner).reshape(-1, 3)
+    faces = np.concatenate([solid.faces, *(triangle + first for first in count)])
+    return np.concatenate([solid.vertices, stubs]), faces
 
 
 def _ball(around: int = 12, rings: int = 5) -> tuple[Array, NDArray[np.intp]]:

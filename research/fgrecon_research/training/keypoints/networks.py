@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.settings import check_settings, count, number
@@ -17,7 +16,7 @@ from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.began import begin_alike, file_hash, source_hash
 from fgrecon_research.training.keypoints.calibrate import SCORED, calibrate
 from fgrecon_research.training.keypoints.labelling import Labelling, Source, read_source
-from fgrecon_research.training.keypoints.rounds import train_in_rounds
+from fgrecon_research.training.keypoints.rounds import Beginning, train_in_rounds
 from fgrecon_research.training.keypoints.street_cars import (
     LAST,
     StreetCars,
@@ -28,23 +27,8 @@ from fgrecon_research.training.keypoints.street_cars import (
 )
 from fgrecon_research.training.keypoints.train import Training
 from fgrecon_research.training.keypoints.train_refine import RefineTraining, train_refinement
-from fgrecon_research.training.keypoints.trainer import TrainingProgress, load_tensors, mean_state
+from fgrecon_research.training.keypoints.trainer import Display, load_tensors, mean_state
 from fgrecon_research.training.keypoints.views import TrainingSet
-
-
-@dataclass(frozen=True)
-class Beginning:
-    """What a training begins with."""
-
-    imagenet: Path | None = None  # weights of the encoder (torch), or None for random ones
-    start: Path | None = None  # a trained network to go on from instead, which corrects the first labels as well
-    start_share: float = 0.5  # share of that network in the resulting weights, 0 to 1
-    silhouettes: Path | None = None  # folder of silhouettes for the first labels, or None
-    marks: Path | None = None  # keypoints marked by hand in photographs that are learnt from (JSON), or None
-    # street cars that are learnt from beside the photographs (COCO, of `fgrecon keypoints label`), or None
-    street: Path | None = None
-    street_share: float = 0.5  # their share of the samples, 0 to 1
-    without: tuple[str, ...] = ()  # drives of theirs that are left out
 
 
 @dataclass(frozen=True)
@@ -80,22 +64,16 @@ class Plan:
             raise InvalidInputError("plan.relabel_at", self.relabel_at, "Give whole numbers from 1 in rising order.")
         object.__setattr__(self, "relabel_at", stops)
 
+    def training(self) -> Training:
+        """How KNet is trained."""
+        shared = {
+            name: getattr(self, name) for name in ("steps", "batch", "rate", "decay", "seed", "workers", "device")
+        }
+        return Training(**shared, street=self.samples_of(Street()))
+
     def samples_of(self, street: Street) -> Street:
         """A degradation with the shares of this plan."""
         return replace(street, dull=self.dull, raised=self.raised, seen_alone=self.seen_alone)
-
-
-class Display(Protocol):
-    """Shows how a training goes."""
-
-    def log(self, line: str) -> None:
-        """What begins."""
-
-    def report(self, progress: TrainingProgress) -> None:
-        """How far it is, and how good."""
-
-    def progress(self, things: Sequence[Any], heading: str) -> Iterable[Any]:
-        """Go through some things and show how far that has come."""
 
 
 def train_networks(
@@ -124,36 +102,13 @@ def train_networks(
         InvalidInputError: Something of the data cannot be used, a drive to leave out is unknown, or the training in the
             folder began otherwise.
     """
-    import torch
-
     source = read_source(data, beginning.marks)
     partner = source.prior.category.mirror
-    imagenet = beginning.imagenet
     begun = None if beginning.start is None else load_tensors(beginning.start)
     street = _street(beginning, work / "street", display)
-    how = Training(
-        steps=plan.steps,
-        batch=plan.batch,
-        rate=plan.rate,
-        decay=plan.decay,
-        seed=plan.seed,
-        workers=plan.workers,
-        street=plan.samples_of(Street()),
-    )
+    how = plan.training()
     network, labelling, photographs = train_in_rounds(
-        source,
-        work,
-        how,
-        plan.relabel_at,
-        imagenet=None if imagenet is None else torch.load(imagenet, map_location="cpu", weights_only=True),
-        start=beginning.start,
-        silhouettes=beginning.silhouettes,
-        device=plan.device,
-        report=display.report,
-        log=display.log,
-        progress=display.progress,
-        street=street,
-        common=common,
+        *(source, work, how, plan.relabel_at, beginning), street=street, display=display, common=common
     )
     state = network.state_dict()
     if begun is not None:
@@ -208,10 +163,9 @@ def _refined(
     display: Display,
 ) -> Stored:
     """The network with refinement networks."""
-    refining = RefineTraining(steps=plan.refine_steps, seed=plan.seed)
+    refining = RefineTraining(steps=plan.refine_steps, seed=plan.seed, device=plan.device)
     refining = replace(refining, street=plan.samples_of(refining.street))
-    schedule = {name: value for name, value in asdict(refining).items() if name != "save_every"}
-    begin_alike(work / "began-refine.json", schedule)
+    begin_alike(work / "began-refine.json", refining.lasting())
     refining = replace(refining, street=refining.street.shaping(source.prior))
     before = None if begun is None else begun.refinement
     refinement = train_refinement(
@@ -220,7 +174,6 @@ def _refined(
         work / "refine.pt",
         refining,
         start=before,
-        device=plan.device,
         report=display.report,
     )
     refined = refinement.state_dict()

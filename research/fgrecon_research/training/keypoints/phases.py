@@ -21,11 +21,12 @@ from fgrecon.io.files import write_bytes, write_text
 from fgrecon.io.json_fields import read_json
 from fgrecon.perception.keypoints.network_file import WITHOUT_STREET
 from fgrecon_research.training.keypoints.began import different, file_hash, files_hash, text_hash
-from fgrecon_research.training.keypoints.networks import Beginning, Display, photographs_hash, train_networks
+from fgrecon_research.training.keypoints.networks import photographs_hash, train_networks
 from fgrecon_research.training.keypoints.posed_cars import Progress
+from fgrecon_research.training.keypoints.rounds import Beginning
 from fgrecon_research.training.keypoints.settings import Phase, TrainingSettings
 from fgrecon_research.training.keypoints.street_cars import check_drives
-from fgrecon_research.training.keypoints.trainer import TrainingProgress, load_tensors
+from fgrecon_research.training.keypoints.trainer import Display, TrainingProgress, load_tensors
 
 Labeller = Callable[[Sequence[Path], Path, Path, Progress], None]
 """Labels the street cars of drives (folders) by a network, to a file (COCO), and shows how far it has come."""

@@ -8,12 +8,13 @@ has `labels-0.npz`, `labels-1.npz`, ... (one per round) and `knet.pt` (the check
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
@@ -30,12 +31,26 @@ from fgrecon_research.training.keypoints.labelling import (
     first_labelling,
     open_photographs,
 )
-from fgrecon_research.training.keypoints.posed_cars import Progress, no_progress
 from fgrecon_research.training.keypoints.street_cars import StreetShare, learning
-from fgrecon_research.training.keypoints.train import HeldOut, Training, train_knet
-from fgrecon_research.training.keypoints.trainer import TrainingProgress, load_checkpoint, load_tensors
+from fgrecon_research.training.keypoints.train import HeldOut, Training, first_network, train_knet
+from fgrecon_research.training.keypoints.trainer import Display, Quiet, load_checkpoint, load_tensors
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """What a training begins with."""
+
+    imagenet: Path | None = None  # weights of the encoder (torch), or None for random ones
+    start: Path | None = None  # a trained network to go on from instead, which corrects the first labels as well
+    start_share: float = 0.5  # share of that network in the resulting weights, 0 to 1
+    silhouettes: Path | None = None  # folder of silhouettes for the first labels, or None
+    marks: Path | None = None  # keypoints marked by hand in photographs that are learnt from (JSON), or None
+    # street cars that are learnt from beside the photographs (COCO, of `fgrecon keypoints label`), or None
+    street: Path | None = None
+    street_share: float = 0.5  # their share of the samples, 0 to 1
+    without: tuple[str, ...] = ()  # drives of theirs that are left out
 
 
 def train_in_rounds(
@@ -43,15 +58,10 @@ def train_in_rounds(
     folder: Path,
     how: Training,
     relabel_at: Sequence[int],
+    beginning: Beginning | None = None,
     *,
-    imagenet: dict[str, Any] | None = None,
-    start: Path | None = None,
-    silhouettes: Path | None = None,
-    device: str = "cpu",
-    report: Callable[[TrainingProgress], None] | None = None,
-    log: Callable[[str], None] = lambda _: None,
-    progress: Progress = no_progress,
     street: StreetShare | None = None,
+    display: Display | None = None,
     common: Path | None = None,
 ) -> tuple[Any, Labelling, Photographs]:
     """Train KNet, correcting the labels at given steps.
@@ -59,69 +69,50 @@ def train_in_rounds(
     Args:
         folder: Where everything is kept; goes on from what is there.
         relabel_at: Steps after which the labels are corrected, in rising order.
-        start: A trained network to go on from instead, which corrects the first labels as well.
-        silhouettes: Folder of silhouettes for the first labels, as `first_labelling` reads them.
-        common: Where what depends on `source`, `silhouettes` and `start` alone is kept; None is `folder`.
+        beginning: Of it count `imagenet`, `start` and `silhouettes`; the others are in `source` and `street`.
+        common: Where what depends on `source` and `beginning` alone is kept; None is `folder`.
 
     Returns:
         The averaged network, and the last labels with their photographs.
 
     Raises:
-        InvalidInputError: There is no step, no photograph to learn from, or the folder's training began otherwise.
+        InvalidInputError: There is no photograph to learn from, or the folder's training began otherwise.
     """
+    beginning, display = beginning or Beginning(), display or Quiet()
     common = folder if common is None else common
     for needed in (folder, common):
         needed.mkdir(parents=True, exist_ok=True)
-    prepared = common / "photographs"
-    by_start = None if start is None else common / f"labels-by-{file_hash(start)}.npz"
     checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
     how = replace(how, street=how.street.shaping(source.prior))
     stops = [*(step for step in relabel_at if step < how.steps), how.steps]
-    begin_alike(folder / "began.json", _named(source, how, stops, imagenet, start, silhouettes, street))
-    first = _first(source, common / "labels-first.npz", silhouettes, log, progress)
-    begun = None if start is None else load_tensors(start)
+    imagenet = None
+    if beginning.imagenet is not None:
+        imagenet = torch.load(beginning.imagenet, map_location="cpu", weights_only=True)
+    begin_alike(folder / "began.json", _named(source, how, stops, imagenet, beginning, street))
+    begun = None if beginning.start is None else load_tensors(beginning.start)
+    rounds = _Rounds(source, folder, common, how.device, beginning, begun, display)
+    first = rounds.first()
     stored(checkpoint, load_checkpoint)  # puts a damaged one aside: all steps are made again
-    network: Any = None
-    labelling: Labelling | None = None
     # Prepared by the first labels, whichever come after.
-    photographs = open_photographs(source, first, prepared, silhouettes, progress)
+    photographs = rounds.photographs(first)
     for number, last in enumerate(stops):
-        path = by_start if number == 0 and by_start is not None else folder / f"labels-{number}.npz"
-        labelling = Labelling.open(path, source.cars)
-        if labelling is None and number == 0 and start is None:
-            labelling = first
-            labelling.save(path)
-        elif labelling is None:
-            log(f"Labels corrected by the network, round {number}")
-            if number == 0:
-                detector = KeypointCascade(start, device=device)
-            else:
-                detector = _as_detector(load_checkpoint(checkpoint), begun, folder, device)
-            labelling = corrected(source, first, detector, photographs, silhouettes, progress)
-            labelling.save(path)
-        photographs = open_photographs(source, labelling, prepared, silhouettes, progress)
+        labelling = rounds.labelling(number, first, photographs)
+        photographs = rounds.photographs(labelling)
         if checkpoint.exists() and load_checkpoint(checkpoint)["step"] >= last and number < len(stops) - 1:
             continue
-        log(f"Training to step {last}")
+        display.log(f"Training to step {last}")
         chosen = labelling.samples(photographs, source.learn)
         if not len(chosen):
             fix = "Start from another network, or from none: no photograph agrees with its shape."
-            raise InvalidInputError("labels", str(path), fix)
+            raise InvalidInputError("labels", str(rounds.path(number)), fix)
         held = labelling.samples(photographs, source.validate)
         network = train_knet(
-            learning(photographs, chosen, street),
-            partner,
-            checkpoint,
-            how,
-            imagenet=imagenet,
-            start=None if begun is None else dict(begun.state),
-            device=device,
-            report=report,
+            first_network(how, imagenet, None if begun is None else begun.state),
+            *(learning(photographs, chosen, street), partner, checkpoint, how),
+            report=display.report,
             until=last,
             held=None if not len(held) else HeldOut.draw(photographs, held, how.street, partner, how.seed),
         )
-    if labelling is None:
-        raise InvalidInputError("steps", how.steps, "Give at least one step.")
     return network, labelling, photographs
 
 
@@ -130,13 +121,11 @@ def _named(
     how: Training,
     stops: Sequence[int],
     imagenet: dict[str, Any] | None,
-    start: Path | None,
-    silhouettes: Path | None,
+    beginning: Beginning,
     street: StreetShare | None,
 ) -> dict[str, Any]:
     """What the labels and networks in the folder come from."""
-    # How many processes make the samples, and when checkpoints are written, changes no network.
-    schedule = {name: value for name, value in asdict(how).items() if name not in ("workers", "save_every")}
+    start, silhouettes = beginning.start, beginning.silhouettes
     return {
         "photographs": source_hash(source),
         "imagenet": None if imagenet is None else state_hash(imagenet),
@@ -144,23 +133,67 @@ def _named(
         "silhouettes": None if silhouettes is None else files_hash(sorted(silhouettes.glob("*.png"))),
         "street_cars": None if street is None else street.describe(),
         "relabel_at": list(stops[:-1]),
-        **schedule,
+        **how.lasting(),
     }
 
 
-def _first(
-    source: Source, path: Path, silhouettes: Path | None, log: Callable[[str], None], progress: Progress
-) -> Labelling:
-    """The first labels: those in the file, or made anew."""
-    labelling = Labelling.open(path, source.cars)
-    if labelling is not None:
+@dataclass(frozen=True, eq=False)
+class _Rounds:
+    """The labels of a training's rounds, from their files or made anew."""
+
+    source: Source
+    folder: Path  # of the training
+    common: Path  # of what several trainings share
+    device: str
+    beginning: Beginning
+    begun: Stored | None  # the network that it begins with
+    display: Display
+
+    def first(self) -> Labelling:
+        """The labels of boxes and silhouettes."""
+        path, silhouettes = self.common / "labels-first.npz", self.beginning.silhouettes
+        labelling = Labelling.open(path, self.source.cars)
+        if labelling is not None:
+            return labelling
+        self.display.log("Labels from the boxes" if silhouettes is None else "Labels from boxes and silhouettes")
+        labelling = first_labelling(self.source, silhouettes, self.display.progress)
+        labelling.save(path)
+        if silhouettes is not None:
+            self.display.log(f"{int(labelling.outlined.sum())} silhouettes agree with their cars")
         return labelling
-    log("Labels from the boxes" if silhouettes is None else "Labels from boxes and silhouettes")
-    labelling = first_labelling(source, silhouettes, progress)
-    labelling.save(path)
-    if silhouettes is not None:
-        log(f"{int(labelling.outlined.sum())} silhouettes agree with their cars")
-    return labelling
+
+    def path(self, number: int) -> Path:
+        """The file of a round's labels."""
+        start = self.beginning.start
+        if number == 0 and start is not None:
+            return self.common / f"labels-by-{file_hash(start)}.npz"
+        return self.folder / f"labels-{number}.npz"
+
+    def labelling(self, number: int, first: Labelling, photographs: Photographs) -> Labelling:
+        """A round's labels: the first ones, or those corrected by the network of that time."""
+        labelling = Labelling.open(self.path(number), self.source.cars)
+        if labelling is not None:
+            return labelling
+        if number == 0 and self.beginning.start is None:
+            labelling = first
+        else:
+            self.display.log(f"Labels corrected by the network, round {number}")
+            labelling = corrected(
+                *(self.source, first, self._detector(number), photographs),
+                *(self.beginning.silhouettes, self.display.progress),
+            )
+        labelling.save(self.path(number))
+        return labelling
+
+    def photographs(self, labelling: Labelling) -> Photographs:
+        """The photographs with some labels."""
+        prepared = self.common / "photographs"
+        return open_photographs(self.source, labelling, prepared, self.beginning.silhouettes, self.display.progress)
+
+    def _detector(self, number: int) -> KeypointCascade:
+        if number == 0:
+            return KeypointCascade(self.beginning.start, device=self.device)
+        return _as_detector(load_checkpoint(self.folder / "knet.pt"), self.begun, self.folder, self.device)
 
 
 def _as_detector(content: dict[str, Any], begun: Stored | None, folder: Path, device: str) -> KeypointCascade:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -33,7 +33,6 @@ class Training(Schedule):
     """How KNet is trained: see `Schedule`; the pretrained encoder's learning rate is half of the others'."""
 
     sigma: float = 2.5  # standard deviation of the target Gaussians, pixels of the crop
-    workers: int = 1  # processes that make samples; 0 makes them in this one
     network: KNetSettings = field(default_factory=lambda: KNetSettings(kinds=len(KINDS)))  # sizes
     street: Street = field(default_factory=Street)  # augmentation
 
@@ -50,15 +49,26 @@ class _Samples(Dataset):  # type: ignore[misc]
         return (torch.from_numpy(drawn.crop), *(torch.from_numpy(n.astype(np.float32)) for n in numbers), drawn.kind)
 
 
+def first_network(
+    how: Training, imagenet: dict[str, Any] | None = None, start: Mapping[str, Any] | None = None
+) -> KNet:
+    """The network that a training begins with: random by its seed, but for weights of the encoder or of a whole one."""
+    torch.manual_seed(how.seed)
+    network = KNet(how.network)
+    if imagenet is not None:
+        load_imagenet(network, imagenet)
+    if start is not None:
+        network.load_state_dict(start, strict=False)
+    return network
+
+
 def train_knet(
+    network: KNet,
     learning: TrainingSet,
     partner: NDArray[np.intp],
     checkpoint: Path,
     how: Training,
     *,
-    imagenet: dict[str, Any] | None = None,
-    start: dict[str, Any] | None = None,
-    device: str = "cpu",
     report: Callable[[TrainingProgress], None] | None = None,
     until: int | None = None,
     held: HeldOut | None = None,
@@ -66,19 +76,14 @@ def train_knet(
     """Train, or go on where the checkpoint ends.
 
     Args:
+        network: `first_network`.
         partner: (K,) index of each keypoint's mirror image.
-        imagenet: Weights to start the encoder from, without a checkpoint.
         until: Step after which to end with a checkpoint; None for the last.
 
     Returns:
         The averaged network, in evaluation mode.
     """
-    torch.manual_seed(how.seed)
-    network = KNet(how.network)
-    if imagenet is not None:
-        load_imagenet(network, imagenet)
-    if start is not None:
-        network.load_state_dict(start, strict=False)
+    device = how.device
     network.to(device=device, memory_format=torch.channels_last)
     score = None if held is None else partial(held.score, device=device)
     trainer = Trainer(network, _groups(network), how, checkpoint, how.network.to_dict(), report, score)

@@ -87,7 +87,6 @@ def train_refinement(
     how: RefineTraining,
     *,
     start: Mapping[str, Any] | None = None,
-    device: str = "cpu",
     report: Callable[[TrainingProgress], None] | None = None,
 ) -> RefineNet:
     """Train, or go on where the checkpoint ends.
@@ -103,11 +102,11 @@ def train_refinement(
     network: RefineNet = RefineNet(how.network)
     if start is not None:
         network.load_state_dict(start, strict=False)
-    network = network.to(device)
+    network = network.to(how.device)
     trainer = Trainer(network, [{"params": network.parameters()}], how, checkpoint, how.network.to_dict(), report)
 
     def losses(drawn: tuple[int, list[Sample]]) -> dict[str, Any]:
-        patches, inside, weight = (torch.from_numpy(a).to(device).float() for a in _targets(*drawn, how))
+        patches, inside, weight = (torch.from_numpy(a).to(how.device).float() for a in _targets(*drawn, how))
         return {"patches": map_loss(network(patches), inside, weight, 1.0, how.sigma)}
 
     street = replace(how.street, size=how.network.crop)

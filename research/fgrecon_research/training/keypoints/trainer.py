@@ -5,10 +5,10 @@ from __future__ import annotations
 import copy
 import io
 import zipfile
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import torch
 from numpy.typing import NDArray
@@ -125,14 +125,20 @@ class Schedule:
     steps: int = 4000  # gradient steps in all; the last `decay` of them lower the rate to zero
     decay: float = 0.25  # share of the steps
     batch: int = 32  # samples per step
-    rate: float = 1e-3  # trainingSet rate
+    rate: float = 1e-3  # learning rate
     warmup: int = 100  # steps over which the rate rises
     average: float = 0.998  # decay per step of the moving average of the weights, which is what is kept
     seed: int = 0  # of samples and first weights
     save_every: int = 100  # steps between checkpoints
+    workers: int = 1  # processes that make samples; 0 makes them in this one
+    device: str = "cpu"  # Torch's name of the device
+
+    def lasting(self) -> dict[str, Any]:
+        """What changes the network, as plain values: not how many processes work on which device, and when it saves."""
+        return {name: value for name, value in asdict(self).items() if name not in ("workers", "save_every", "device")}
 
     def rate_at(self, step: int) -> float:
-        """TrainingSet rate of a step: up, level, and down to zero."""
+        """Learning rate of a step: up, level, and down to zero."""
         start = round(self.steps * (1.0 - self.decay))
         down = 1.0 if step < start else (self.steps - step) / max(self.steps - start, 1)
         return self.rate * min(1.0, (step + 1) / max(self.warmup, 1)) * max(down, 0.0)
@@ -147,6 +153,33 @@ class TrainingProgress:
     losses: dict[str, float]  # mean of each part of the loss since the last report
     # score of the averaged network on held-out samples (PCK at 0.1 of KNet); None where there are none
     score: float | None = None
+
+
+class Display(Protocol):
+    """Shows how a training goes."""
+
+    def log(self, line: str) -> None:
+        """What begins."""
+
+    def report(self, progress: TrainingProgress) -> None:
+        """How far it is, and how good."""
+
+    def progress(self, things: Sequence[Any], heading: str) -> Iterable[Any]:
+        """Go through some things and show how far that has come."""
+
+
+class Quiet:
+    """A display that shows nothing."""
+
+    def log(self, line: str) -> None:
+        """Nothing."""
+
+    def report(self, progress: TrainingProgress) -> None:
+        """Nothing."""
+
+    def progress(self, things: Sequence[Any], heading: str) -> Iterable[Any]:  # noqa: ARG002
+        """The things."""
+        return things
 
 
 class Trainer(Generic[Network]):

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
+from fgrecon_research.io.annotations.annotations import Annotations
 from fgrecon_research.training.priors.canonical_frame import at_ground_level, levelled, metric_scale, metric_stretch
 from fgrecon_research.training.priors.nrsfm import NrsfmOptions, NrsfmResult, ProgressCallback, fit_nrsfm
 
@@ -45,30 +46,23 @@ def default_size(category: Category) -> SizePrior:
 
 
 def learn_prior(
-    category: Category,
-    keypoints: ArrayLike,
+    annotations: Annotations,
     *,
     size: SizePrior | None = None,
     options: NrsfmOptions | None = None,
-    views: ArrayLike | None = None,
-    vehicles: ArrayLike | None = None,
     proportions: float = PROPORTIONS,
     name: str = "nrsfm",
-    provenance: Mapping[str, str] | None = None,
     progress: ProgressCallback | None = None,
 ) -> LearntPrior:
     """Learn a shape prior from annotated images, one instance each.
 
     Args:
-        category: Names, symmetric pairs, dimension groups and ground keypoints of the K keypoints.
-        keypoints: (M, K, 2) annotated pixels, NaN where unseen.
+        annotations: The keypoints. Where `views` are known, their classes count alike; where `vehicles` are,
+            `mean_sigma` goes by vehicles.
         size: Mean size of the fleet, which sets the scale in metres; for cars that of the 79 car models by default.
         options: How to learn.
-        views: (M,) class of each image's viewing direction, where known; the classes then count alike.
-        vehicles: (M,) which vehicle each image shows, where known: `mean_sigma` goes by vehicles then.
         proportions: Share of the way from the proportions that the images tell to those of the fleet, from 0 to 1.
         name: Name of the prior.
-        provenance: What it was learnt from; how is added here.
         progress: Called with the progress; it may raise to stop.
 
     Returns:
@@ -80,15 +74,20 @@ def learn_prior(
     """
     if not 0.0 <= proportions <= 1.0:
         raise InvalidInputError("proportions", proportions, "Give a share from 0 to 1.")
-    options = options or NrsfmOptions()
+    options, category = options or NrsfmOptions(), annotations.category
     size = size or default_size(category)
-    result = fit_nrsfm(category, keypoints, options, views=views, vehicles=vehicles, progress=progress)
+    result = fit_nrsfm(
+        *(category, annotations.keypoints, options),
+        views=annotations.views,
+        vehicles=annotations.vehicles,
+        progress=progress,
+    )
     noise = "Gaussian" if options.dof is None else f"Student's t with {options.dof:g} degrees of freedom"
     model = "perspective to first order" if options.perspective else "scaled orthography"
     symmetry = "symmetric" if options.symmetric and category.symmetric_pairs else "as they are"
     likelihood = "restricted" if options.restricted else "plain"
     how = {
-        **(provenance or {}),
+        **({"source": annotations.source} if annotations.source else {}),
         "method": (
             f"NRSfM (EM-PPCA, {model}) of {int(result.used.sum())} images, {symmetry}, "
             f"noise {noise}, {likelihood} likelihood, seed {options.seed}"

@@ -14,7 +14,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.images import write_png
 from fgrecon.simulation.render import Body, render
 from fgrecon_research.training.keypoints.dataset import Photographs, check_prepared, prepare_photographs
-from fgrecon_research.training.keypoints.distant import distant_view, dolly_zoom, random_distant_view
+from fgrecon_research.training.keypoints.distant import SolidCar, distant_view, dolly_zoom, random_distant_view
 from fgrecon_research.training.keypoints.labels import Labels, ShapeFit, project_labels
 from fgrecon_research.training.keypoints.posed_cars import PosedCar
 
@@ -50,7 +50,7 @@ def test_it_is_what_a_camera_there_would_see(prior, number):
     car = made_up_cars(prior, np.zeros(5), 4, np.random.default_rng(5))[number]
     image, mask = photograph(prior, car)
     surface = prior.surface
-    distant = distant_view(image, mask, car, surface.vertices(np.zeros(5)), surface.faces, 4.0, 200)
+    distant = distant_view(image, mask, car, SolidCar(surface.vertices(np.zeros(5)), surface.faces), 4.0, 200)
     expected, outline = photograph(prior, distant.car)
     assert distant.image.shape == expected.shape
     both = (outline > 0) & (distant.mask > 127)
@@ -76,7 +76,7 @@ def test_from_the_same_distance_nothing_changes(prior):
     (car,) = made_up_cars(prior, np.zeros(5), 1, np.random.default_rng(2))
     image, mask = photograph(prior, car)
     surface = prior.surface
-    same = distant_view(image, mask, car, surface.vertices(np.zeros(5)), surface.faces, 1.0, max(car.size))
+    same = distant_view(image, mask, car, SolidCar(surface.vertices(np.zeros(5)), surface.faces), 1.0, max(car.size))
     np.testing.assert_allclose(same.car.matrix, car.matrix, rtol=1e-2)
     assert same.made_up == 0.0
     assert same.scale == pytest.approx(1.0, abs=0.01)
@@ -140,8 +140,8 @@ def test_mirrors_that_the_photograph_hides_are_drawn(prior):
     assert abs(car.azimuth) == pytest.approx(np.pi)
     image, mask = photograph(prior, car)
     mirrors = prior.mean[prior.category.off_faces]
-    plain = distant_view(image, mask, car, vertices, faces, 6.0, 192)
-    distant = distant_view(image, mask, car, vertices, faces, 6.0, 192, mirrors, 0.0)
+    plain = distant_view(image, mask, car, SolidCar(vertices, faces), 6.0, 192)
+    distant = distant_view(image, mask, car, SolidCar(vertices, faces, mirrors, 0.0), 6.0, 192)
     np.testing.assert_array_equal(distant.car.matrix, plain.car.matrix)  # it is the body that fills the image
     black = (distant.image == 0).all(axis=2) & ~(plain.image == 0).all(axis=2)
     assert black.any()
@@ -158,7 +158,7 @@ def test_labels_are_believed_where_the_photograph_tells(prior):
     (car,) = made_up_cars(prior, np.zeros(5), 1, np.random.default_rng(2))
     image, mask = photograph(prior, car)
     surface = prior.surface
-    distant = distant_view(image, mask, car, surface.vertices(np.zeros(5)), surface.faces, 4.0, 200)
+    distant = distant_view(image, mask, car, SolidCar(surface.vertices(np.zeros(5)), surface.faces), 4.0, 200)
     row, column = np.nonzero(distant.valid)
     middle = len(row) // 2
     places = np.array([[column[middle], row[middle]], [-50.0, -50.0]], dtype=float)

@@ -22,7 +22,7 @@ torch = pytest.importorskip("torch")
 from fgrecon.perception.keypoints.layout import KNetSettings  # noqa: E402
 from fgrecon_research.training.keypoints.knet import KNet, load_imagenet  # noqa: E402
 from fgrecon_research.training.keypoints.losses import gaussian_maps, knet_loss  # noqa: E402
-from fgrecon_research.training.keypoints.train import HeldOut, Training, train_knet  # noqa: E402
+from fgrecon_research.training.keypoints.train import HeldOut, Training, first_network, train_knet  # noqa: E402
 from fgrecon_research.training.keypoints.trainer import load_checkpoint  # noqa: E402
 from fgrecon_research.training.keypoints.views import TrainingSet, azimuth_weights  # noqa: E402
 
@@ -165,10 +165,10 @@ def test_an_interrupted_training_ends_like_an_uninterrupted_one(photographs, tmp
     )
     learning = TrainingSet(prepared, np.arange(4), np.full(4, 0.25))
     reports = []
-    whole = train_knet(learning, MIRROR, tmp_path / "a.pt", how, report=reports.append)
-    train_knet(learning, MIRROR, tmp_path / "b.pt", how, until=2)
+    whole = train_knet(first_network(how), learning, MIRROR, tmp_path / "a.pt", how, report=reports.append)
+    train_knet(first_network(how), learning, MIRROR, tmp_path / "b.pt", how, until=2)
     assert load_checkpoint(tmp_path / "b.pt")["step"] == 2
-    resumed = train_knet(learning, MIRROR, tmp_path / "b.pt", how)
+    resumed = train_knet(first_network(how), learning, MIRROR, tmp_path / "b.pt", how)
     for name, value in whole.state_dict().items():
         torch.testing.assert_close(value, resumed.state_dict()[name], msg=name)
     assert [report.step for report in reports] == [2, 4]
@@ -180,12 +180,14 @@ def test_a_training_on_a_device_gives_a_network_for_any(photographs, tmp_path, d
     if device != "cpu" and not torch.cuda.is_available():
         pytest.skip("there is no GPU")
     prepared, _ = photographs
-    how = Training(steps=2, batch=2, warmup=1, save_every=1, workers=0, network=SMALL, street=Street(size=32))
+    how = Training(
+        steps=2, batch=2, warmup=1, save_every=1, workers=0, device=device, network=SMALL, street=Street(size=32)
+    )
     held = HeldOut.draw(prepared, np.arange(4), how.street, MIRROR, 0, 4)
     arguments = (TrainingSet(prepared, np.arange(4), np.full(4, 0.25)), MIRROR, tmp_path / "a.pt", how)
     reports = []
-    train_knet(*arguments, device=device, held=held, report=reports.append, until=1)
-    network = train_knet(*arguments, device=device, held=held, report=reports.append)
+    train_knet(first_network(how), *arguments, held=held, report=reports.append, until=1)
+    network = train_knet(first_network(how), *arguments, held=held, report=reports.append)
     assert [report.step for report in reports] == [1, 2]
     assert all(np.isfinite([report.score, *report.losses.values()]).all() for report in reports)
     state = mean_state(KNet(SMALL).state_dict(), network.state_dict(), 0.5)
@@ -197,10 +199,10 @@ def test_a_checkpoint_of_another_network_is_refused(photographs, tmp_path):
     prepared, _ = photographs
     small = Training(steps=1, batch=2, workers=0, network=SMALL, street=Street(size=32))
     arguments = (TrainingSet(prepared, np.arange(4), np.full(4, 0.25)), MIRROR, tmp_path / "a.pt")
-    train_knet(*arguments, small)
+    train_knet(first_network(small), *arguments, small)
     wider = Training(steps=1, batch=2, workers=0, network=KNetSettings(crop=32, width=16), street=Street(size=32))
     with pytest.raises(InvalidInputError, match="same sizes"):
-        train_knet(*arguments, wider)
+        train_knet(first_network(wider), *arguments, wider)
     (tmp_path / "no.pt").write_bytes(b"nothing")
     with pytest.raises(InvalidInputError, match="checkpoint"):
         load_checkpoint(tmp_path / "no.pt")

@@ -30,11 +30,25 @@ from fgrecon_research.training.keypoints.labelling import (  # noqa: E402
     first_labelling,
     open_photographs,
 )
-from fgrecon_research.training.keypoints.rounds import _as_detector, train_in_rounds  # noqa: E402
+from fgrecon_research.training.keypoints.rounds import Beginning, _as_detector, train_in_rounds  # noqa: E402
 from fgrecon_research.training.keypoints.train import HeldOut, Training  # noqa: E402
 from fgrecon_research.training.keypoints.train_refine import RefineNet  # noqa: E402
 
 SMALL = KNetSettings(crop=32, width=8)
+
+
+class Display:
+    """Keeps what it is to show."""
+
+    def __init__(self):
+        self.logged, self.reports, self.headings = [], [], []
+        self.log, self.report = self.logged.append, self.reports.append
+
+    def progress(self, things, heading):
+        self.headings.append((heading, len(things)))
+        return things
+
+
 HOW = Training(steps=2, batch=2, warmup=1, save_every=1, workers=0, network=SMALL, street=Street(size=32))
 
 
@@ -60,9 +74,9 @@ def detector(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def trained(source, tmp_path_factory):
-    folder, logged, reports = tmp_path_factory.mktemp("work"), [], []
-    result = train_in_rounds(source, folder, HOW, [1], report=reports.append, log=logged.append)
-    return folder, logged, reports, result
+    folder, display = tmp_path_factory.mktemp("work"), Display()
+    result = train_in_rounds(source, folder, HOW, [1], display=display)
+    return folder, display.logged, display.reports, result
 
 
 def test_rounds_correct_labels_and_go_on(trained, source):
@@ -77,9 +91,9 @@ def test_rounds_correct_labels_and_go_on(trained, source):
 
 def test_a_finished_training_is_not_done_again(trained, source):
     folder, _, _, (network, _, _) = trained
-    logged, reports = [], []
-    again, _, _ = train_in_rounds(source, folder, HOW, [1], report=reports.append, log=logged.append)
-    assert reports == []
+    display = Display()
+    again, _, _ = train_in_rounds(source, folder, HOW, [1], display=display)
+    assert display.reports == []
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, again.state_dict()[name])
 
@@ -88,20 +102,14 @@ def test_every_report_has_a_score_that_changes_nothing(trained, source, tmp_path
     _, _, reports, (network, _, _) = trained
     assert reports
     assert all(0.0 <= report.score <= 1.0 for report in reports)
-    reports, headings = [], []
-
-    def progress(things, heading):
-        headings.append((heading, len(things)))
-        return things
-
-    blind = replace(source, validate=np.arange(0))
-    other, _, _ = train_in_rounds(blind, tmp_path, HOW, [1], report=reports.append, progress=progress)
-    assert [report.score for report in reports] == [None, None]
+    blind, display = replace(source, validate=np.arange(0)), Display()
+    other, _, _ = train_in_rounds(blind, tmp_path, HOW, [1], display=display)
+    assert [report.score for report in display.reports] == [None, None]
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, other.state_dict()[name])
     first, found, again = ("Shapes of boxes and silhouettes", 2), ("Keypoints in all photographs", 1), "Shapes of what"
-    assert headings[:3] == [first, ("Photographs", 6), found]
-    assert headings[3][0].startswith(again)
+    assert display.headings[:3] == [first, ("Photographs", 6), found]
+    assert display.headings[3][0].startswith(again)
 
 
 def test_the_score_is_the_share_of_visible_points_that_are_near(trained, source):
@@ -135,14 +143,14 @@ def test_workers_start_after_opencv_has_used_threads(source, tmp_path):
 
     cv2.setNumThreads(2)
     cv2.resize(np.zeros((2000, 2000, 3), dtype=np.uint8), (1000, 1000))
-    reports = []
-    train_in_rounds(source, tmp_path, replace(HOW, workers=1), [1], report=reports.append)
-    assert [report.step for report in reports] == [1, 2]
+    display = Display()
+    train_in_rounds(source, tmp_path, replace(HOW, workers=1), [1], display=display)
+    assert [report.step for report in display.reports] == [1, 2]
 
 
 def test_a_training_goes_on_with_what_it_began_with(trained, source, tmp_path):
     with pytest.raises(InvalidInputError, match="began with"):
-        train_in_rounds(source, trained[0], HOW, [1], silhouettes=tmp_path)
+        train_in_rounds(source, trained[0], HOW, [1], Beginning(silhouettes=tmp_path))
 
 
 def test_a_training_goes_on_with_the_same_marks(source, tmp_path):
@@ -162,7 +170,7 @@ def test_a_trained_network_can_go_on(source, tmp_path):
         tmp_path / "s.safetensors", Stored(begun.state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {})
     )
     how = replace(HOW, steps=1, rate=0.0)
-    network, labelling, _ = train_in_rounds(source, tmp_path / "work", how, [], start=start)
+    network, labelling, _ = train_in_rounds(source, tmp_path / "work", how, [], Beginning(start=start))
     torch.testing.assert_close(network.head.weight, begun.head.weight, atol=1e-3, rtol=1e-3)
     first = Labelling.load(tmp_path / "work" / "labels-first.npz", source.cars)
     assert np.abs(labelling.labels.keypoints - first.labels.keypoints).max() > 0

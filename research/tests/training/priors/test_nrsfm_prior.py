@@ -13,7 +13,7 @@ from benchmarks.shape_errors import expression_error, mean_error
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category, load_prior
-from fgrecon_research.io.annotations import load_annotations, spread
+from fgrecon_research.io.annotations import Annotations, load_annotations, spread
 from fgrecon_research.training.priors.canonical_frame import (
     at_ground_level,
     levelled,
@@ -83,7 +83,7 @@ def test_proportions_go_to_those_of_the_fleet():
     np.testing.assert_allclose(boxes[1.0], CHAIR_SIZE.mean)
     np.testing.assert_allclose(boxes[0.5], np.sqrt(boxes[0.0] * boxes[1.0]))
     with pytest.raises(InvalidInputError, match="proportions"):
-        learn_prior(chair(), np.zeros((5, 11, 2)), size=CHAIR_SIZE, proportions=1.5)
+        learn_prior(Annotations(chair(), np.zeros((5, 11, 2))), size=CHAIR_SIZE, proportions=1.5)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def sure():
 
     def learn(bootstrap=6, vehicles=None):
         how = replace(options, bootstrap=bootstrap)
-        return learn_prior(chair(), world.keypoints, size=CHAIR_SIZE, options=how, vehicles=vehicles).prior
+        return learn_prior(Annotations(chair(), world.keypoints, vehicles=vehicles), size=CHAIR_SIZE, options=how).prior
 
     return learn
 
@@ -155,8 +155,7 @@ def test_a_chair_from_made_up_annotations_end_to_end():
     """Nothing here is of a car: category, size and annotations are a chair's."""
     world = draw_world(0, count=300, missing=0.3)
     learnt = learn_prior(
-        chair(),
-        world.keypoints,
+        Annotations(chair(), world.keypoints),
         size=CHAIR_SIZE,
         options=NrsfmOptions(basis=2, min_visible=6, restarts=2),
         name="chair",
@@ -187,8 +186,7 @@ def test_comparing_a_prior_with_itself_moved_and_scaled():
     with pytest.raises(InvalidInputError, match="in common"):
         compare_priors(
             learn_prior(
-                chair(),
-                draw_world(0, count=40, missing=0.0).keypoints,
+                Annotations(chair(), draw_world(0, count=40, missing=0.0).keypoints),
                 size=CHAIR_SIZE,
                 options=NrsfmOptions(basis=0, restarts=1, iterations=4),
             ).prior,
@@ -212,7 +210,7 @@ def test_300_real_images_give_the_shape_of_79_real_cars(data):
     category = load_category("car14")
     annotations = load_annotations([data / "veri_keypoints14/keypoints.npz"], category)
     chosen = annotations.select(spread(annotations, 300, np.random.default_rng(0)))
-    learnt = learn_prior(category, chosen.keypoints, views=chosen.views, options=NrsfmOptions(restarts=2))
+    learnt = learn_prior(replace(chosen, vehicles=None), options=NrsfmOptions(restarts=2))
     cars = np.load(data / "apollo79/apollo79_car14.npz")["keypoints"]
     _, percent, _ = mean_error(learnt.prior, cars)
     assert percent <= 1.7
