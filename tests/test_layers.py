@@ -86,7 +86,7 @@ ROOMS = {
         "research/io",
     },
     "research/training/priors": {"core", "io", "research/io/annotations", "io/keypoints", "solve/vehicle"},
-    "research/training": {"factors", "research/training/priors"},
+    "research/training": {"factors", "research/io/annotations", "research/training/priors"},
     "research/training/keypoints": {
         *("factors", "core", "io", "research/io/annotations", "solve/vehicle", "simulation"),
         *("perception", "perception/keypoints", "research/training/priors"),
