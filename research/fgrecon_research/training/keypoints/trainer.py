@@ -168,7 +168,7 @@ class Display(Protocol):
         """Go through some things and show how far that has come."""
 
 
-class Quiet:
+class NoDisplay:
     """A display that shows nothing."""
 
     def log(self, line: str) -> None:
