@@ -41,7 +41,7 @@ def reconstruct_file(files: Sequence[Path], request: ReconstructRequest, screen:
     """
     (file,) = files
     request.check_jobs(of_image=is_image(file), several=False)
-    if not is_image(file):
+    if not is_image(file) and file.exists():
         request.boxes.refuse(file)
     what = request.of_files(screen.watch)
     if what.sensors is not None and is_image(file):

@@ -74,6 +74,12 @@ def test_a_file_that_is_no_image_is_named_with_the_endings_of_images(images):
     assert ".jpeg" in str(done.exception)
 
 
+def test_a_photograph_that_is_not_there_is_called_missing(tmp_path):
+    done = run("reconstruct", tmp_path / "photo.heic", "--detect")
+    assert isinstance(done.exception, InvalidInputError)
+    assert "No such file" in done.exception.fix
+
+
 @pytest.mark.parametrize("command", ["reconstruct", "batch", "track", "run"])
 def test_a_photograph_in_a_format_that_is_not_read_is_called_one(tmp_path, command):
     folder = tmp_path / "phone"

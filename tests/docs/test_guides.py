@@ -30,11 +30,11 @@ NEEDS_MORE = {
     r"--web": "serves until it is stopped",
 }
 """What in a line of a shell block says that the tests cannot run it, and what it needs."""
-OTHER_ENGINES = "ray.data", "map_partitions", "mapInArrow", "import apache_beam"
-"""What in a `py` block says that it is a piece for an engine that is not there."""
+OTHER_ENGINES = "ray.data", "map_partitions", "mapInArrow", "import apache_beam", "from ultralytics"
+"""What in a `py` block says that it is a piece for a package that is not there."""
 INSTALL = {
-    "fgrecon-research": r"\./research",
-    "video": r"\[video\]|extra\W+`video`",
+    "fgrecon-research": r"\[fgrecon-research\]\(|\./research",
+    "video": r"\[video\]|extra\S* `video`",
 }
 """Words by which a page names a package or an extra."""
 SAMPLE = "fgrecon sample --out sample"
