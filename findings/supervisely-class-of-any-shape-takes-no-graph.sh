@@ -6,7 +6,7 @@
 # class's `geometry_config`, which a class of any shape does not have. Keypoints need a class of shape graph of their own.
 set -euo pipefail
 folder=$(mktemp -d); trap 'rm -rf "$folder"' EXIT; cd "$folder"
-python3 -m venv env && env/bin/pip install --quiet supervisely==6.74.51 'setuptools<81'
+python3 -m venv env && env/bin/pip install --quiet supervisely==6.74.51
 env/bin/python - <<'PYTHON'
 import supervisely as sly
 from supervisely.geometry.graph import KeypointsTemplate

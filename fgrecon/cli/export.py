@@ -15,9 +15,9 @@ from fgrecon.cli.terminal import Verbosity
 from fgrecon.core.text import counted
 
 _FORMATS = (
-    "nuscenes, nuscenes_tracking, coco, cityscapes3d, openlabel, label_studio, scalabel, labelme, supervisely, "
-    "datumaro or fiftyone for .json; cvat for .xml; foxglove, vision_msgs or ros2 for .mcap; kitti, tum or kitti_poses "
-    "for .txt."
+    "nuscenes, nuscenes_tracking, truckscenes, zod, coco, cityscapes3d, openlabel, label_studio, scalabel, labelme, "
+    "supervisely, datumaro or fiftyone for .json; cvat for .xml; foxglove, vision_msgs or ros2 for .mcap; kitti, tum "
+    "or kitti_poses for .txt."
 )
 
 
@@ -72,7 +72,7 @@ def export_command(
     out: Annotated[
         Path,
         typer.Argument(
-            metavar="OUT", help="File to write: .ply, .glb, .csv, .parquet, .txt, .json, .xml, .feather, .mcap."
+            metavar="OUT", help="File to write: .ply, .glb, .csv, .parquet, .txt, .json, .xml, .feather, .bin, .mcap."
         ),
     ],
     options: ExportOptions,
@@ -86,13 +86,13 @@ def export_command(
 
     PLY and GLB: surfaces and wireframes in the camera frame. CSV and Parquet: one row per vehicle. TXT: KITTI's result
     lines of one image, in the frame of KITTI's labels where the results know it; or the camera's path (TUM, KITTI).
-    JSON: nuScenes' detections or tracks, COCO's keypoints with cuboids, Cityscapes' 3D boxes, OpenLABEL, Label Studio,
-    scalabel, labelme, Supervisely, datumaro or FiftyOne. XML: CVAT. FEATHER: Argoverse 2's detections.
+    JSON: boxes for nuScenes, TruckScenes, ZOD or Cityscapes, COCO's keypoints with cuboids, OpenLABEL, Label Studio,
+    scalabel, labelme, Supervisely, datumaro or FiftyOne. XML: CVAT. FEATHER: Argoverse 2's detections. BIN: Waymo's.
     MCAP: Foxglove's scenes, or ROS 2's Detection3DArray, under an upright frame `map`; or with rviz's markers and
     Foxglove's scenes in a copy of the bag that a run was on (ros2).
     What the kind of file has no place for is a warning. --verbose names the vehicles.
 
-    Of a video's run JSON, FEATHER, MCAP and the camera's path are made; its folder has tables already.
+    Of a video's run JSON, FEATHER, BIN, MCAP and the camera's path are made; its folder has tables already.
     """
     from fgrecon.io.bag import is_bag
     from fgrecon.io.export import export, read_images_file, read_results, read_video_frames

@@ -1,13 +1,14 @@
 """What is exported, read by the data sets' own devkits: corners of the boxes as they are in the results."""
 
 import json
+import struct
 
 import numpy as np
 import pytest
 
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import transform
+from fgrecon.core.geometry import FORWARD_LEFT_UP, transform
 from fgrecon.io.export import export, read_images_file
 from fgrecon.io.export.results import NamedResult
 from tests.viz.made_up import make_example
@@ -52,12 +53,68 @@ def test_nuscenes_boxes_and_tracks(submitted, result):
 
 
 @pytest.mark.formats
-@pytest.mark.parametrize("kind", ["nuscenes", "nuscenes_tracking"])
-def test_nuscenes_devkit_reads_a_submission(submitted, result, devkit, kind):
-    _, path, info = submitted("n.json", made_up.write_nuscenes, "CAM_FRONT", kind)
+@pytest.mark.parametrize("kind", ["nuscenes", "nuscenes_tracking", "truckscenes"])
+def test_nuscenes_devkits_read_a_submission(submitted, result, devkit, kind):
+    def writer(root):
+        return made_up.write_nuscenes(root, trucks=kind == "truckscenes")
+
+    _, path, info = submitted("n.json", writer, "CAM_FRONT", kind)
     said = devkit("nuscenes", "nuscenes_submission", path, kind)
     assert said["samples"] == ["s0", "s1"]
     assert np.abs(corners_in(info.world_T_camera, result) - said["corners"][0]).max() < METRES
+    if kind != "nuscenes_tracking":
+        assert said["scored"] == {"mAP": pytest.approx(1.0), "mAOE": pytest.approx(0.0, abs=1e-6)}
+    if kind == "truckscenes":
+        assert {"use_camera", "use_future_frames", "use_tta", "method_name", "paper_url"} <= said["meta"].keys()
+
+
+@pytest.mark.formats
+def test_zods_evaluation_scores_boxes(submitted, result, devkit):
+    _, path, info = submitted("z.json", made_up.write_zod, "frames/000000/front_blur", "zod")
+    said = devkit("zod", "zod_submission", path)
+    assert (said["frames"], said["kinds"]) == (["000000"], ["Vehicle_Car"])
+    there = np.linalg.inv(info.world_T_vehicle) @ info.world_T_camera
+    assert np.abs(corners_in(there, result) - said["corners"][0]).max() < METRES
+    assert said["scored"] == {
+        "mAP": pytest.approx(1.0),
+        **dict.fromkeys(("mATE", "mASE", "mAOE"), pytest.approx(0.0, abs=1e-6)),
+    }
+
+
+def test_waymos_objects_are_boxes_upright_on_the_vehicle(submitted, result, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    _, path, info = submitted("w.bin", made_up.write_waymo, "FRONT", "waymo")
+    content = path.read_bytes()
+    assert info.sequence.encode() in content
+    place = corners_in(np.linalg.inv(info.world_T_vehicle) @ info.world_T_camera, result).mean(axis=0)
+    (start,) = (content.index(bytes([9]), i) for i in [content.index(bytes([63]))])  # after the length of seven doubles
+    numbers = [struct.unpack_from("<Bd", content, start + 9 * i) for i in range(7)]
+    assert [tag >> 3 for tag, _ in numbers] == [1, 2, 3, 4, 5, 6, 7]
+    expected = [*place, *result.box_size[[1, 0, 2]]]
+    assert np.abs(np.array([value for _, value in numbers[:6]]) - expected).max() < METRES
+
+
+@pytest.mark.formats
+def test_waymos_metrics_score_objects(submitted, result, devkit, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    _, path, info = submitted("w.bin", made_up.write_waymo, "FRONT", "waymo")
+    said = devkit("waymo", "waymo_submission", path)
+    assert said["about"] == [["7", 1, 1.0, info.sequence, int(info.sample_token)]]
+    pose = np.linalg.inv(info.world_T_vehicle) @ info.world_T_camera @ result.camera_T_object
+    heading = np.arctan2(pose[1, 0], pose[0, 0])
+    upright = made_up.pose(
+        [heading, 0.0, 0.0], corners_in(pose @ np.linalg.inv(result.camera_T_object), result).mean(0)
+    )
+    size = result.box_size
+    ours = transform(upright, box_corners(size) @ FORWARD_LEFT_UP - [0.0, 0.0, size[2] / 2.0])
+    assert np.abs(ours - said["corners"][0]).max() < METRES
+    assert said["scored"] == {"same": pytest.approx([1.0, 1.0]), "flipped": pytest.approx([1.0, 0.0], abs=1e-6)}
+
+
+@pytest.mark.parametrize("kind", ["kitti360", "pandaset", "ddad"])
+def test_what_no_evaluation_takes_is_refused_with_the_reason(tmp_path, result, kind):
+    with pytest.raises(InvalidInputError, match="Give another: "):
+        export(tmp_path / "a.json", [NamedResult("7", result, image="a.png")], kind)
 
 
 def test_argoverse_rows(submitted, result):

@@ -17,7 +17,15 @@ from fgrecon.io.export.mcap import detections_bytes, ros2_bytes, scene_bytes
 from fgrecon.io.export.mesh import glb_bytes, ply_bytes
 from fgrecon.io.export.openlabel import openlabel_text
 from fgrecon.io.export.results import NamedResult
-from fgrecon.io.export.submissions import argoverse2_bytes, cityscapes3d_text, nuscenes_text, nuscenes_tracking_text
+from fgrecon.io.export.submissions import (
+    argoverse2_bytes,
+    cityscapes3d_text,
+    nuscenes_text,
+    nuscenes_tracking_text,
+    truckscenes_text,
+    waymo_bytes,
+    zod_text,
+)
 from fgrecon.io.export.table import AddRows, csv_file, csv_text, parquet_bytes, parquet_file
 from fgrecon.io.files import check_ending, write_bytes
 
@@ -28,6 +36,8 @@ _TEXTS: dict[str, Callable[[Sequence[NamedResult], Images], str]] = {
     "kitti": lambda results, _: kitti_text(results),
     "nuscenes": nuscenes_text,
     "nuscenes_tracking": nuscenes_tracking_text,
+    "truckscenes": truckscenes_text,
+    "zod": zod_text,
     "cityscapes3d": cityscapes3d_text,
     "openlabel": openlabel_text,
     "tum": lambda _, images: tum_text(images),
@@ -47,6 +57,7 @@ _WRITERS: dict[str, Callable[[Sequence[NamedResult], Images], bytes]] = {
     "glb": lambda results, _: glb_bytes(results),
     "parquet": lambda results, _: parquet_bytes(results),
     "argoverse2": argoverse2_bytes,
+    "waymo": waymo_bytes,
     "foxglove": scene_bytes,
     "vision_msgs": detections_bytes,
     "ros2": ros2_bytes,
@@ -59,13 +70,21 @@ _ENDINGS: dict[str, tuple[str, ...]] = {
     **{kind: (kind,) for kind in ("ply", "glb", "csv", "parquet")},
     "txt": ("kitti", "tum", "kitti_poses"),
     "json": (
-        *("nuscenes", "nuscenes_tracking", "coco", "cityscapes3d", "openlabel", "label_studio", "scalabel"),
-        *("labelme", "supervisely", "datumaro", "fiftyone"),
+        *("nuscenes", "nuscenes_tracking", "truckscenes", "zod", "coco", "cityscapes3d", "openlabel", "label_studio"),
+        *("scalabel", "labelme", "supervisely", "datumaro", "fiftyone"),
     ),
     "feather": ("argoverse2",),
+    "bin": ("waymo",),
     "xml": ("cvat",),
     "mcap": ("foxglove", "vision_msgs", "ros2"),
 }
+
+_REFUSED = {
+    "kitti360": "Give another: KITTI-360 scores boxes of what stands still in clouds of many frames, not of images.",
+    "pandaset": "Give another: PandaSet's results would be pickles, which run code.",
+    "ddad": "Give another: DDAD has no evaluation of boxes.",
+}
+"""What is asked for and not written, with the reason."""
 
 _PLAIN = {"txt": "kitti"}
 """What is meant by an ending alone that stands for several kinds."""
@@ -91,6 +110,8 @@ def check_format(path: str | Path, kind: str | None = None) -> str:
     Raises:
         InvalidInputError: Nothing is written with that ending, it stands for several kinds, or not for this one.
     """
+    if kind in _REFUSED:
+        raise InvalidInputError("format", kind, _REFUSED[kind])
     ending = check_ending(path, FORMATS)
     kinds, kind = _ENDINGS[ending], kind or _PLAIN.get(ending)
     if kind is None and len(kinds) > 1:
@@ -108,7 +129,7 @@ def export(
     Args:
         path: `.ply` or `.glb`: surfaces and wireframes in the camera frame; `.csv` or `.parquet`: one row per vehicle;
             `.txt`: KITTI's result lines of one image, or poses of the camera; `.json`: results for nuScenes, COCO or
-            Cityscapes 3D, or labels for a tool; `.xml`: CVAT; `.feather`: Argoverse 2's detections;
+            data sets, or labels for a tool; `.xml`: CVAT; `.feather`: Argoverse 2's detections; `.bin`: Waymo's;
             `.mcap`: Foxglove's or ROS 2's messages.
         results: Vehicles; those without a pose are left out, except in tables.
         kind: One of `KINDS`, where the ending stands for several.

@@ -23,7 +23,10 @@ _OF_IMAGES = frozenset(
         *(
             "nuscenes",
             "nuscenes_tracking",
+            "truckscenes",
+            "zod",
             "argoverse2",
+            "waymo",
             "openlabel",
             "cvat",
             "coco",
@@ -57,7 +60,7 @@ def check_video_format(path: Path, kind: str | None = None) -> None:
     if (found := check_format(path, kind)) not in _OF_IMAGES:
         fix = (
             f"`fgrecon run` has written tracks.csv, tracks.parquet, tracks.txt (KITTI's tracking) and {_FILE} there. "
-            "Give .mcap, .json or .feather for another file, or --format tum or kitti_poses for the camera's path."
+            "Give .mcap, .json, .feather or .bin for another file, --format tum or kitti_poses for the camera's path."
         )
         raise InvalidInputError("format", f"{found} for a video", fix)
 
