@@ -13,7 +13,7 @@ from libc.string cimport memcpy, memset
 
 import numpy as np
 
-from factors._points cimport Points
+from factors._points cimport Term
 from factors._rows cimport Source
 from factors.box import FARTHEST_SHARE, NEAREST_KINK
 from factors.mixture import STIFFEST
@@ -172,22 +172,22 @@ cdef void unpack(const double[:, :] pose, double *R, double *t) noexcept:
 
 
 cdef class Measured:
-    """Points of one kind, and those of others."""
+    """What one sensor beside the keypoints measured, and what others did."""
 
-    cdef Points points
+    cdef Term term
     cdef Measured others
 
-    def __init__(self, Points points not None, Measured others):
-        """Bind points, and others or None."""
-        self.points, self.others = points, others
+    def __init__(self, Term term not None, Measured others):
+        """Bind a term, and others or None."""
+        self.term, self.others = term, others
 
     cdef double add(
-        self, const double *R, const double *t, const double *x, double *g, double *M, double *J
+        self, const double *R, const double *t, const double *x, double most, double *g, double *M, double *J
     ) noexcept nogil:
-        """As `Points.add` has it, of all of them."""
-        cdef double energy = self.points.add(R, t, x, g, M, J)
-        if self.others is not None:
-            energy += self.others.add(R, t, x, g, M, J)
+        """As `Term.add` has it, of all of them."""
+        cdef double energy = self.term.add(R, t, x, most, g, M, J)
+        if self.others is not None and energy < most:
+            energy += self.others.add(R, t, x, most - energy, g, M, J)
         return energy
 
 
@@ -214,7 +214,7 @@ cdef class Observation:
     cdef const double[::1] size_mean
     cdef const double[::1] size_sigma
     cdef bint has_size, has_direction, is_bound
-    cdef Measured measured_points
+    cdef Measured measured_beside
 
     def __reduce__(self):
         """Pointers into arrays are not copied.
@@ -287,10 +287,10 @@ cdef class Observation:
             raise ValueError(f"arrays that do not belong together: {sizes}")
         self.is_bound = True
 
-    def search_points(self, points):
-        """Bind measured points, a list of them, which the search has as well."""
-        for one in points:
-            self.measured_points = Measured(one, self.measured_points)
+    def search_beside(self, terms):
+        """Bind terms of other sensors, a list of `factors._points.Term`, which the search has as well."""
+        for one in terms:
+            self.measured_beside = Measured(one, self.measured_beside)
 
     cdef double keypoint(
         self, int k, const double *R, const double *t, const double *x, const double *offsets, double least,
@@ -737,10 +737,13 @@ cdef class ImageRows(Source):
 
 
 cdef double evaluate(
-    Observation terms, const double *R, const double *t, const double *x, double least,
+    Observation terms, const double *R, const double *t, const double *x, double least, double most,
     double *g, double *M, double *weights, double *work
 ) noexcept nogil:
-    """Robust energy of a hypothesis; gradient g (D,), lower triangle of M (D, D), and weights (K,)."""
+    """Robust energy of a hypothesis, or infinity where it is above the most that counts.
+
+    Unless g is NULL, gradient g (D,) and lower triangle of M (D, D); and weights (K,).
+    """
     cdef int K = terms.keypoints, N = terms.coefficients, D = 6 + terms.coefficients, A, a, i, k, n
     cdef double *J = work + 14 * terms.points  # (4, D)
     cdef double *visibility = J + 4 * D
@@ -752,8 +755,10 @@ cdef double evaluate(
     cdef double shift[3]
     cdef double right, wrong, weight, loss, sigma, energy = 0.0, place, x_, z_
     cdef bint near = False
-    memset(g, 0, D * sizeof(double))
-    memset(M, 0, D * D * sizeof(double))
+    cdef bint want = g != NULL
+    if want:
+        memset(g, 0, D * sizeof(double))
+        memset(M, 0, D * D * sizeof(double))
     terms.visible(R, t, visibility)
     for k in range(K):
         near |= terms.keypoint(k, R, t, x, NULL, least, r, X, camera, body) < least
@@ -763,6 +768,8 @@ cdef double evaluate(
         terms.densities(k, visibility[k], &right, &wrong)
         mixture(right, wrong, r[0] * r[0] + r[1] * r[1], &weights[k], &loss)
         energy += loss - log(right + wrong)
+        if not want:
+            continue
         for i in range(2):
             cross(X, body + 3 * i, J)
             for a in range(3):
@@ -773,12 +780,13 @@ cdef double evaluate(
                     J[6 + n] += body[3 * i + a] * terms.basis[n, 3 * k + a]
             add(J, D, r[i], weights[k], g, M, D)
     if terms.has_box:
-        near |= terms.box(R, t, x, least, r, J, NULL, work) < least
+        near |= terms.box(R, t, x, least, r, J if want else NULL, NULL, work) < least
         for i in range(4):
             if terms.used[i]:
                 weight = exp(-0.5 * r[i] * r[i])
                 energy -= log(weight + terms.box_wrong)
-                add(J + i * D, D, r[i], weight / (weight + terms.box_wrong), g, M, D)
+                if want:
+                    add(J + i * D, D, r[i], weight / (weight + terms.box_wrong), g, M, D)
     if terms.has_size:
         for i in range(3):
             r[0] = terms.size_mean[i]
@@ -788,7 +796,8 @@ cdef double evaluate(
                 J[6 + n] = terms.size_basis[i, n] / terms.size_sigma[i]
             r[0] /= terms.size_sigma[i]
             energy += 0.5 * r[0] * r[0]
-            add(J, D, r[0], 1.0, g, M, D)
+            if want:
+                add(J, D, r[0], 1.0, g, M, D)
     if terms.has_ground:
         sigma = terms.height_sigma_at(t[2])
         terms.ground(R, t, sigma, r, turn, shift)
@@ -799,7 +808,8 @@ cdef double evaluate(
                 J[a] = turn[3 * i + a]
                 J[3 + a] = shift[a] if i == 0 else 0.0
             energy += 0.5 * r[i] * r[i]
-            add(J, 6, r[i], 1.0, g, M, D)
+            if want:
+                add(J, 6, r[i], 1.0, g, M, D)
     if terms.has_direction:
         A = terms.direction.shape[0]
         z_ = -(R[2] * t[0] + R[5] * t[1] + R[8] * t[2])
@@ -810,13 +820,48 @@ cdef double evaluate(
         i = i % A if i > 0 else 0  # NaN as well
         place -= floor(place)
         energy -= log((1.0 - place) * terms.direction[i] + place * terms.direction[(i + 1) % A])
-    if terms.measured_points is not None:
-        energy += terms.measured_points.add(R, t, x, g, M, J)
     for n in range(N):
         energy += 0.5 * x[n] * x[n]
-        g[6 + n] += x[n]
-        M[(6 + n) * D + 6 + n] += 1.0
-    return INFINITY if near else energy
+        if want:
+            g[6 + n] += x[n]
+            M[(6 + n) * D + 6 + n] += 1.0
+    if terms.measured_beside is not None and energy < most:
+        energy += terms.measured_beside.add(R, t, x, most - energy, g, M, J if want else NULL)
+    return INFINITY if near or energy > most else energy
+
+
+def best(
+    Observation terms, const double[:, :, ::1] rotation, const double[:, ::1] translation,
+    const double[:, ::1] coefficients, double least, int count
+):
+    """Indices of the hypotheses of the least energies, at most so many, best first; see `search`."""
+    cdef int H = rotation.shape[0], N = terms.coefficients, h, i, kept = 0
+    cdef double energy
+    if coefficients.shape[0] != H or coefficients.shape[1] != N or translation.shape[0] != H or not H or count < 1:
+        raise ValueError("starts of different numbers, or none")
+    if not terms.is_bound:
+        raise ValueError("bind the observation by `search_by` first")
+    cdef double[::1] energies = np.empty(count), weights = np.empty(terms.keypoints)
+    cdef double[::1] work = np.empty(14 * terms.points + 4 * (6 + N) + terms.keypoints)
+    found = np.empty(count, dtype=np.intp)
+    cdef Py_ssize_t[::1] order = found
+    with nogil:
+        for h in range(H):
+            energy = evaluate(
+                terms, &rotation[h, 0, 0], &translation[h, 0], &coefficients[h, 0] if N else NULL, least,
+                energies[kept - 1] if kept == count else INFINITY, NULL, NULL, &weights[0], &work[0]
+            )
+            if kept == count:
+                if not energy < energies[kept - 1]:
+                    continue
+                kept -= 1
+            i = kept
+            while i > 0 and energy < energies[i - 1]:
+                energies[i], order[i] = energies[i - 1], order[i - 1]
+                i -= 1
+            energies[i], order[i] = energy, h
+            kept += 1
+    return found[:kept]
 
 
 def search(
@@ -869,8 +914,7 @@ def search(
         for n in range(N):
             state[12 + n] = coefficients[h, n]
         energies[h] = evaluate(
-                    terms,
-            state, state + 9, state + 12, least, &g[h, 0], &M[h, 0], state + 12 + N, &work[0]
+            terms, state, state + 9, state + 12, least, INFINITY, &g[h, 0], &M[h, 0], state + 12 + N, &work[0]
         )
     for iteration in range(I):
         if 0 < keep[iteration] < count:
@@ -913,8 +957,8 @@ def search(
                     trial[12 + n] = state[12 + n] + step[6 + n]
                 energy = evaluate(
                     terms,
-                    &trial[0], &trial[9], &trial[0] + 12, least, &trial_g[0], &trial_M[0], &trial[0] + 12 + N,
-                    &work[0]
+                    &trial[0], &trial[9], &trial[0] + 12, least, INFINITY, &trial_g[0], &trial_M[0],
+                    &trial[0] + 12 + N, &work[0]
                 )
                 gain = energies[h] - energy
                 moved |= fabs(gain) > settled

@@ -3,6 +3,7 @@
 """Measured points on a vehicle's surface, compiled: the equations are those of `factors.surface_points`."""
 
 from libc.math cimport INFINITY, NAN, exp, fabs, log, sqrt
+from libc.string cimport memcpy
 
 import numpy as np
 
@@ -19,8 +20,11 @@ SOURCES = FGRECON_SOURCES  # what it was compiled from, for `factors.native`
 cdef double PI = 3.14159265358979323846, STIFF = STIFFEST, SPREAD = rows.SPREAD, LEAST_COSINE = rows.LEAST_COSINE
 cdef double LONGEST_STEP = rows.LONGEST_STEP, SOFTNESS = rows.SOFTNESS, LEAST_RATIO = rows.LEAST_RATIO
 cdef double FARTHEST = rows.FARTHEST, OUTSIDE = rows.OUTSIDE
+cdef double NEAR = rows.NEAR, NEARER = rows.NEARER, NEAREST = rows.NEAREST
 cdef int STEPS = rows.STEPS
 cdef double NOTHING[2]  # zeros: what points share where nothing is known of it
+cdef double NOT_THERE = 80.0  # squared deviations from which on a density is none
+cdef double ROUNDED = 1e-4  # product of densities from which on its logarithm is taken
 
 cdef enum Shared:  # as `factors.surface_points.Shared`
     NONE = 0
@@ -34,8 +38,12 @@ cdef enum Form:  # as `factors.mixture.Form`
     MAJORISED = 3
 
 
-cdef class Points:
-    """The points of an observation, bound to the patches that they may be on."""
+cdef class Term:
+    """What beside the keypoints has a share in the energy that the search minimises.
+
+    Attributes:
+        coefficients: Number of the vehicle's.
+    """
 
     def __reduce__(self):
         """Pointers into arrays are not copied.
@@ -43,44 +51,77 @@ cdef class Points:
         Raises:
             TypeError: Always; who holds it makes another.
         """
-        raise TypeError("compiled Points cannot be copied or pickled")
+        raise TypeError(f"a compiled {type(self).__name__} cannot be copied or pickled")
+
+    cdef double add(
+        self, const double *R, const double *t, const double *x, double most, double *g, double *M, double *J
+    ) noexcept nogil:
+        """Energy, or infinity once it is above the most that counts.
+
+        Unless J (6 + N,), which is for work, is NULL, gradient and the lower triangle of the matrix are added, by turn,
+        camera's axes, coefficients.
+        """
+        return 0.0
+
+
+cdef inline double apart(const double *a, const double *b, int count) noexcept nogil:
+    """Squared distance of two vectors."""
+    cdef int i
+    cdef double total = 0.0
+    for i in range(count):
+        total += (a[i] - b[i]) * (a[i] - b[i])
+    return total
+
+
+cdef class Points(Term):
+    """The points of an observation, bound to the patches that they may be on."""
 
     def __init__(
-        self, points, sigma, along, origin, mean, basis, normal, off_normal, along_normal, neighbours, first, grid,
-        double spacing, size, size_basis, odds, double share, int shared
+        self, points, sigma, along, origin, patches, basis, along_normal, neighbours, first, grid, double spacing,
+        size, size_basis, odds, double share, int shared
     ):
         """Bind the arrays.
 
         Args:
             points: (M, 3). sigma: (M,). along: (M,). origin: (3,).
-            mean: (P, 3). basis: (P, 3 N), of each patch its N vectors. normal: (P, 3). off_normal: (P,), along_normal:
-                (P, N), of centres and vectors along it. neighbours: (P, m).
+            patches: (P, 8), of each its centre, its normal, the centre along that, and nothing. basis: (P, 3 N), of
+                each patch its N vectors. along_normal: (P, N), of these along the normal. neighbours: (P, m).
             first: (3,). grid: (X, Y, Z). spacing: of the grid.
             size: (3,). size_basis: (3, N).
             odds: (8,) numbers of `factors.surface_points.PointOdds` in their order.
             share: Factor on the energy.
             shared: What the variables are that all points share.
         """
-        self.points, self.sigma, self.along, self.origin, self.mean, self.basis = points, sigma, along, origin, mean, basis
-        self.shared = shared
-        self.normal, self.neighbours, self.first, self.grid = normal, neighbours, first, grid
+        cdef int i
+        cdef double peak
+        self.points, self.sigma, self.along, self.origin, self.basis = points, sigma, along, origin, basis
+        self.patches, self.shared, self.along_normal = patches, shared, along_normal
+        self.neighbours, self.first, self.grid = neighbours, first, grid
         self.size, self.size_basis, self.odds = size, size_basis, odds
         self.spacing, self.share, self.vehicle = spacing, share, odds[0]
         self.count, self.coefficients = points.shape[0], size_basis.shape[1]
-        self.off_normal, self.along_normal = off_normal, along_normal
+        self.elsewhere_peak, self.inverse_best = np.empty(self.count), np.empty(self.count)
+        for i in range(self.count):
+            peak = sqrt(2.0 * PI * (self.sigma[i] * self.sigma[i] + self.along[i] * self.along[i]))
+            peak *= (1.0 - self.vehicle) / max(self.odds[1], SPREAD * self.along[i])
+            self.elsewhere_peak[i], self.inverse_best[i] = peak, 1.0 / (self.vehicle + peak)
 
-    cdef void prepare(
-        self, const double *R, const double *t, const double *x, double *size, double *sensor
-    ) noexcept nogil:
-        """Length, width and height, and the sensor in the object frame."""
+    cdef void prepare(self, const double *R, const double *t, const double *x, View *view) noexcept nogil:
+        """How a vehicle is seen at a state."""
         cdef int a, b, n
+        cdef double size
         for a in range(3):
-            size[a] = self.size[a]
+            b = a if a == 0 else 3 - a  # length, height, width
+            size = self.size[b]
             for n in range(self.coefficients):
-                size[a] += self.size_basis[a, n] * x[n]
-            sensor[a] = 0.0
+                size += self.size_basis[b, n] * x[n]
+            view.half[a] = 0.5 * size
+            view.scale[a] = self.size[b] / max(size, 0.1 * self.size[b])
+            view.sensor[a] = 0.0
             for b in range(3):
-                sensor[a] += (self.origin[b] - t[b]) * R[3 * b + a]
+                view.sensor[a] += (self.origin[b] - t[b]) * R[3 * b + a]
+            view.scaled[a] = view.sensor[a] * view.scale[a]
+        view.middle = -view.half[1]
 
     cdef double ratio(self, int i, const double *shared) noexcept nogil:
         """Depth of a point by what all of them share, as a share of the measured one."""
@@ -94,102 +135,86 @@ cdef class Points:
         self, int i, const double *R, const double *t, const double *shared, double *local
     ) noexcept nogil:
         """A point in the object frame."""
-        cdef int a, b
+        cdef int a
         cdef double ratio = self.ratio(i, shared)
+        cdef double x = ratio * self.points[i, 0] - t[0]
+        cdef double y = ratio * self.points[i, 1] - t[1]
+        cdef double z = ratio * self.points[i, 2] - t[2]
         for a in range(3):
-            local[a] = 0.0
-            for b in range(3):
-                local[a] += (ratio * self.points[i, b] - t[b]) * R[3 * b + a]
+            local[a] = x * R[a] + y * R[3 + a] + z * R[6 + a]
 
-    cdef int nearest(self, const double *local, const double *sensor, const double *scale, bint *facing) noexcept nogil:
+    cdef int nearest(self, const double *local, const View *view, bint *facing) noexcept nogil:
         """The patch next to a point in the object frame, of those that face the sensor, and whether it does."""
-        cdef int a, j, k, n, best = -1
+        cdef int a, j, best = -1
         cdef int place[3]
-        cdef double d, towards, square, least = INFINITY
+        cdef double d, x, y, z, square, least = INFINITY
         cdef double q[3]
+        cdef const double *s = view.scaled
+        cdef const double *p
+        cdef const int *near
         for a in range(3):
-            q[a] = local[a] * scale[a]
+            q[a] = local[a] * view.scale[a]
             d = (q[a] - self.first[a]) / self.spacing
             place[a] = 0 if not d > 0.0 else (
                 <int> self.grid.shape[a] - 1 if d > self.grid.shape[a] - 1 else <int> (d + 0.5)
             )
-        k = self.grid[place[0], place[1], place[2]]
+        near = &self.neighbours[self.grid[place[0], place[1], place[2]], 0]
         for j in range(self.neighbours.shape[1]):
-            n = self.neighbours[k, j]
-            towards, square = -self.off_normal[n], 0.0
-            for a in range(3):
-                towards += sensor[a] * scale[a] * self.normal[n, a]
-                d = q[a] - self.mean[n, a]
-                square += d * d
-            if towards > 0.0 and square < least:
-                least, best = square, n
+            p = &self.patches[near[j], 0]
+            x, y, z = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+            square = x * x + y * y + z * z
+            if square < least and s[0] * p[3] + s[1] * p[4] + s[2] * p[5] > p[6]:
+                least, best = square, near[j]
         facing[0] = best >= 0
-        return best if best >= 0 else self.neighbours[k, 0]
-
-    cdef bint is_near(self, const double *local, const double *size) noexcept nogil:
-        """Whether a point in the object frame is so near the vehicle's cuboid that it may be on a patch."""
-        cdef double reach = self.odds[6] + FARTHEST * self.odds[7] + OUTSIDE
-        return (
-            fabs(local[0]) <= 0.5 * size[0] + reach
-            and fabs(local[1] + 0.5 * size[2]) <= 0.5 * size[2] + reach
-            and fabs(local[2]) <= 0.5 * size[1] + reach
-        )
+        return best if best >= 0 else near[0]
 
     cdef double off(self, int k, const double *local, const double *x) noexcept nogil:
         """Distance of a point in the object frame from the plane of a patch, metres."""
-        cdef int a, n
-        cdef double found = -self.off_normal[k]
-        for a in range(3):
-            found += local[a] * self.normal[k, a]
+        cdef int n
+        cdef const double *p = &self.patches[k, 0]
+        cdef double found = local[0] * p[3] + local[1] * p[4] + local[2] * p[5] - p[6]
         for n in range(self.coefficients):
             found -= self.along_normal[k, n] * x[n]
         return found
 
-    cdef void trace(
-        self, const double *x, const double *size, const double *sensor, const double *scale, const double *unit,
-        double *met
-    ) noexcept nogil:
+    cdef void trace(self, const double *x, const View *view, const double *unit, double *met) noexcept nogil:
         """Where a ray meets the surface, object frame; of one that misses it, where it is near."""
         cdef int a, k, step
-        cdef double half, middle, one, other, ray, enters = -INFINITY, leaves = INFINITY, at = 0.0, slope, moved
+        cdef double middle, one, other, ray, enters = -INFINITY, leaves = INFINITY, at = 0.0, slope, moved
+        cdef const double *p
         cdef bint facing
         for a in range(3):
-            half = 0.5 * (size[0] if a == 0 else (size[2] if a == 1 else size[1]))
-            middle = -0.5 * size[2] if a == 1 else 0.0
+            middle = view.middle if a == 1 else 0.0
             ray = unit[a] if fabs(unit[a]) > 1e-9 else 1e-9
-            one, other = (middle - half - sensor[a]) / ray, (middle + half - sensor[a]) / ray
+            one = (middle - view.half[a] - view.sensor[a]) / ray
+            other = (middle + view.half[a] - view.sensor[a]) / ray
             enters, leaves = max(enters, min(one, other)), min(leaves, max(one, other))
-            at += unit[a] * (middle - sensor[a])
+            at += unit[a] * (middle - view.sensor[a])
         if leaves > max(enters, 0.0):
             at = max(enters, 0.0)
         for step in range(STEPS):
             for a in range(3):
-                met[a] = sensor[a] + at * unit[a]
-            k = self.nearest(met, sensor, scale, &facing)
-            slope = 0.0
-            for a in range(3):
-                slope += self.normal[k, a] * unit[a]
+                met[a] = view.sensor[a] + at * unit[a]
+            k = self.nearest(met, view, &facing)
+            p = &self.patches[k, 0]
+            slope = p[3] * unit[0] + p[4] * unit[1] + p[5] * unit[2]
             if facing and slope < -LEAST_COSINE:
                 moved = -self.off(k, met, x) / slope
                 at += min(max(moved, -LONGEST_STEP), LONGEST_STEP)
         for a in range(3):
-            met[a] = sensor[a] + at * unit[a]
+            met[a] = view.sensor[a] + at * unit[a]
 
-    cdef double elsewhere(
-        self, int i, const double *local, const double *size, const double *sensor, double far
-    ) noexcept nogil:
+    cdef double elsewhere(self, int i, const double *local, const View *view, double far) noexcept nogil:
         """How dense points that are anything else are, by the ray through a cuboid in the vehicle."""
         cdef int a
-        cdef double half, middle, ray, one, other, inside, noise, past, before, deep
-        cdef double enters = -INFINITY, leaves = INFINITY, found = 1.0
+        cdef double half, middle, inverse, inside, noise, past, before, deep
+        cdef double enters = -INFINITY, leaves = INFINITY
         for a in range(3):
-            half = 0.5 * self.odds[5] * (size[0] if a == 0 else (size[2] if a == 1 else size[1]))
-            middle = -0.5 * size[2] if a == 1 else 0.0
-            ray = local[a] - sensor[a]
-            if fabs(ray) <= 1e-9:
-                ray = 1e-9
-            one, other = (middle - half - sensor[a]) / ray, (middle + half - sensor[a]) / ray
-            enters, leaves = max(enters, min(one, other)), min(leaves, max(one, other))
+            inverse = local[a] - view.sensor[a]
+            inverse = 1.0 / (inverse if fabs(inverse) > 1e-9 else 1e-9)
+            middle = ((view.middle if a == 1 else 0.0) - view.sensor[a]) * inverse
+            half = self.odds[5] * view.half[a] * fabs(inverse)
+            enters, leaves = max(enters, middle - half), min(leaves, middle + half)
         if not leaves > max(enters, 0.0):
             return 1.0
         if self.along[i] > 0.0:
@@ -199,102 +224,113 @@ cdef class Points:
             return 1.0 + before * (self.odds[2] - 1.0) + deep * (self.odds[3] - 1.0)
         inside = (min(leaves, 1.0) - max(enters, 0.0)) * far
         if inside > self.odds[4]:
-            found = self.odds[3]
-        elif enters >= 1.0:
-            found = self.odds[2]
-        return found
+            return self.odds[3]
+        return self.odds[2] if enters >= 1.0 else 1.0
 
-    cdef double peak(self, int i) noexcept nogil:
-        """Density of anything else, relative to the peak of a right point's."""
-        cdef double spread = sqrt(self.sigma[i] * self.sigma[i] + self.along[i] * self.along[i])
-        return sqrt(2.0 * PI) * spread / max(self.odds[1], SPREAD * self.along[i])
-
-    cdef int match_one(
-        self, int i, const double *R, const double *t, const double *x, const double *shared, const double *size,
-        const double *sensor, double *local, double *right, double *wrong, double *sigma
+    cdef int measure(
+        self, int i, const double *R, const double *t, const double *x, const double *shared, const View *view,
+        double *local, double *gain, double *beyond, double *wrong, double *sigma, double *off
     ) noexcept nogil:
-        """The patch next to a point, the point in the object frame, the densities, and the deviation of its distance."""
+        """The patch next to a point, the point in the object frame, and its distance from the patch's plane, metres.
+
+        The density of a right point there is vehicle * gain * exp(-beyond / 2); it is none where the gain is zero.
+        Then the density of a wrong one, and the deviation of the distance.
+        """
         cdef int a, n, k
-        cdef double scale[3]
         cdef double unit[3]
         cdef double met[3]
-        cdef double d, square, off, tangent, beyond, far = 0.0, cosine = 0.0, across
-        cdef bint facing
-        scale[0] = self.size[0] / max(size[0], 0.1 * self.size[0])
-        scale[1] = self.size[2] / max(size[2], 0.1 * self.size[2])
-        scale[2] = self.size[1] / max(size[1], 0.1 * self.size[1])
+        cdef double d, square = 0.0, along = 0.0, tangent, far = 0.0, cosine, across, reach
+        cdef const double *p
+        cdef bint facing, deep = self.along[i] > 0.0
         self.place(i, R, t, shared, local)
         for a in range(3):
-            unit[a], met[a] = local[a] - sensor[a], local[a]
+            unit[a], met[a] = local[a] - view.sensor[a], local[a]
             far += unit[a] * unit[a]
         far = sqrt(far)
-        wrong[0] = (1.0 - self.vehicle) * self.peak(i) * self.elsewhere(i, local, size, sensor, far)
-        if self.along[i] > 0.0:
+        wrong[0] = self.elsewhere_peak[i] * self.elsewhere(i, local, view, far)
+        gain[0], beyond[0], sigma[0], off[0] = 0.0, 0.0, self.sigma[i], 0.0
+        if deep:
             for a in range(3):
                 unit[a] /= max(far, 1e-9)
-            self.trace(x, size, sensor, scale, unit, met)
-        right[0], sigma[0] = 0.0, self.sigma[i]
-        if not (self.along[i] > 0.0 or self.is_near(local, size)):
-            return 0
-        k = self.nearest(met, sensor, scale, &facing)
-        if self.along[i] > 0.0:
-            for a in range(3):
-                cosine += unit[a] * self.normal[k, a]
-            cosine = fabs(cosine)
+            self.trace(x, view, unit, met)
+        else:  # far from the vehicle's cuboid it is on no patch
+            reach = self.odds[6] + FARTHEST * self.odds[7] + OUTSIDE
+            if (
+                fabs(local[0]) > view.half[0] + reach
+                or fabs(local[1] - view.middle) > view.half[1] + reach
+                or fabs(local[2]) > view.half[2] + reach
+            ):
+                return 0
+        k = self.nearest(met, view, &facing)
+        p = &self.patches[k, 0]
+        for a in range(3):
+            d = met[a] - p[a]
+            for n in range(self.coefficients):
+                d -= self.basis[k, 3 * n + a] * x[n]
+            along += d * p[3 + a]
+            square += d * d
+        off[0] = along
+        if deep:
+            off[0] = self.off(k, local, x)
+            cosine = fabs(unit[0] * p[3] + unit[1] * p[4] + unit[2] * p[5])
             across = self.along[i] * cosine
             sigma[0] = sqrt(self.sigma[i] * self.sigma[i] + across * across)
         if not facing:
             return k
-        off, square = 0.0, 0.0
-        for a in range(3):
-            d = met[a] - self.mean[k, a]
-            for n in range(self.coefficients):
-                d -= self.basis[k, 3 * n + a] * x[n]
-            off += d * self.normal[k, a]
-            square += d * d
-        tangent = sqrt(max(square - off * off, 0.0))
-        beyond = max(tangent - self.odds[6], 0.0) / self.odds[7]
-        right[0] = self.vehicle * exp(-0.5 * beyond * beyond)
-        if self.along[i] > 0.0:
-            right[0] *= cosine * sqrt(self.sigma[i] * self.sigma[i] + self.along[i] * self.along[i]) / sigma[0]
+        tangent = sqrt(max(square - along * along, 0.0))
+        tangent = max(tangent - self.odds[6], 0.0) / self.odds[7]
+        beyond[0], gain[0] = tangent * tangent, 1.0
+        if deep:
+            gain[0] = cosine * sqrt(self.sigma[i] * self.sigma[i] + self.along[i] * self.along[i]) / sigma[0]
+        return k
+
+    cdef int match_one(
+        self, int i, const double *R, const double *t, const double *x, const double *shared, const View *view,
+        double *local, double *right, double *wrong, double *sigma
+    ) noexcept nogil:
+        """The patch next to a point, the point in the object frame, the densities, and the deviation of its distance."""
+        cdef double gain, beyond, off
+        cdef int k = self.measure(i, R, t, x, shared, view, local, &gain, &beyond, wrong, sigma, &off)
+        right[0] = self.vehicle * gain * exp(-0.5 * beyond) if gain > 0.0 else 0.0
         return k
 
     cdef double add(
-        self, const double *R, const double *t, const double *x, double *g, double *M, double *J
+        self, const double *R, const double *t, const double *x, double most, double *g, double *M, double *J
     ) noexcept nogil:
-        """Energy; its gradient and the lower triangle of its matrix are added, by turn, camera's axes, coefficients."""
         cdef int i, k, a, b, D = 6 + self.coefficients
-        cdef double size[3]
-        cdef double sensor[3]
+        cdef View view
         cdef double local[3]
-        cdef double right, wrong, sigma, r, inlier, weight, best, energy = 0.0
+        cdef double gain, beyond, wrong, sigma, r, inlier, density, weight, product = 1.0, energy = 0.0
         cdef const double *n
-        self.prepare(R, t, x, size, sensor)
+        most /= self.share
+        self.prepare(R, t, x, &view)
         for i in range(self.count):
-            k = self.match_one(i, R, t, x, &NOTHING[0], size, sensor, local, &right, &wrong, &sigma)
-            r = self.off(k, local, x) / sigma
-            inlier = right * exp(-0.5 * r * r)
-            best = self.vehicle + (1.0 - self.vehicle) * self.peak(i)
-            energy += log(best / (inlier + wrong))
-            weight = inlier / (inlier + wrong) * self.share
-            if weight <= 1e-6:
+            k = self.measure(i, R, t, x, &NOTHING[0], &view, local, &gain, &beyond, &wrong, &sigma, &r)
+            r, inlier = r / sigma, 0.0
+            if gain > 0.0 and beyond + r * r < NOT_THERE:
+                inlier = self.vehicle * gain * exp(-0.5 * (beyond + r * r))
+            density = inlier + wrong
+            product *= density * self.inverse_best[i]
+            if product < ROUNDED or i == self.count - 1:  # one logarithm for many points
+                energy -= log(product)
+                product = 1.0
+                if energy > most:
+                    return INFINITY
+            if J == NULL or inlier <= 1e-6 * density:
                 continue
-            n = &self.normal[k, 0]
-            J[0] = n[1] * local[2] - n[2] * local[1]
-            J[1] = n[2] * local[0] - n[0] * local[2]
-            J[2] = n[0] * local[1] - n[1] * local[0]
+            weight, n = inlier / density * self.share, &self.patches[k, 3]
+            J[0] = (n[1] * local[2] - n[2] * local[1]) / sigma
+            J[1] = (n[2] * local[0] - n[0] * local[2]) / sigma
+            J[2] = (n[0] * local[1] - n[1] * local[0]) / sigma
             for a in range(3):
-                J[3 + a] = 0.0
-                for b in range(3):
-                    J[3 + a] -= R[3 * a + b] * n[b]
+                J[3 + a] = -(R[3 * a] * n[0] + R[3 * a + 1] * n[1] + R[3 * a + 2] * n[2]) / sigma
             for a in range(self.coefficients):
-                J[6 + a] = -self.along_normal[k, a]
+                J[6 + a] = -self.along_normal[k, a] / sigma
             for a in range(D):
-                J[a] /= sigma
-            for a in range(D):
-                g[a] += weight * r * J[a]
+                gain = weight * J[a]
+                g[a] += gain * r
                 for b in range(a + 1):
-                    M[a * D + b] += weight * J[a] * J[b]
+                    M[a * D + b] += gain * J[b]
         return self.share * energy
 
     def match(
@@ -304,8 +340,7 @@ cdef class Points:
         """Patches (M,), densities of right points (M,) and of wrong ones (M,), and deviations (M,) at a state."""
         cdef double R[9]
         cdef double t[3]
-        cdef double size[3]
-        cdef double sensor[3]
+        cdef View view
         cdef double local[3]
         cdef int a, b, i
         patch, right, wrong = np.empty(self.count, dtype=np.intp), np.empty(self.count), np.empty(self.count)
@@ -317,9 +352,9 @@ cdef class Points:
             t[a] = translation[a]
             for b in range(3):
                 R[3 * a + b] = rotation[a, b]
-        self.prepare(R, t, at, size, sensor)
+        self.prepare(R, t, at, &view)
         for i in range(self.count):
-            patches[i] = self.match_one(i, R, t, at, &shared[0], size, sensor, local, &r[i], &w[i], &s[i])
+            patches[i] = self.match_one(i, R, t, at, &shared[0], &view, local, &r[i], &w[i], &s[i])
         return patch, right, wrong, sigma
 
     def distances(
@@ -360,7 +395,7 @@ cdef class Points:
         for i in range(self.count):
             inlier = right[i] * exp(-0.5 * distances[i] * distances[i])
             w[i] = inlier / (inlier + wrong[i])
-            energy += log((self.vehicle + (1.0 - self.vehicle) * self.peak(i)) / (inlier + wrong[i]))
+            energy -= log(self.inverse_best[i] * (inlier + wrong[i]))
         return weights, self.share * energy
 
     cdef void row(
@@ -369,7 +404,7 @@ cdef class Points:
         """A derivative times a factor: by turn, object's axes, coefficients, and what the points share."""
         cdef int a, b, N = self.coefficients
         cdef double ratio, along = 0.0, scale
-        cdef const double *n = &self.normal[k, 0]
+        cdef const double *n = &self.patches[k, 3]
         J[0] = factor * (n[1] * local[2] - n[2] * local[1])
         J[1] = factor * (n[2] * local[0] - n[0] * local[2])
         J[2] = factor * (n[0] * local[1] - n[1] * local[0])
@@ -393,6 +428,8 @@ cdef class Points:
 cdef class PointSource(Source):
     """Rows of measured points in a graph: of the pose, the coefficients, and what the points share if they do.
 
+    It judges the weights (M,) of the points, and keeps what they share (2,) where it did.
+
     Attributes:
         points: The points.
         form: How the mixture is handed to the solver, as `factors.mixture.Form`; without a Jacobian it is the loss.
@@ -402,53 +439,102 @@ cdef class PointSource(Source):
     cdef readonly Points points
     cdef public int form
     cdef public double share, common
-    cdef bint applied
+    cdef int matches  # how often points were matched
+    cdef double[::1] matched_at  # pose (12,), coefficients and what points share (2,), where that was last
     cdef Py_ssize_t[::1] patch
     cdef double[::1] right, wrong, sigma, weights
 
     def __init__(self, Points points, double share):
         """Bind the points."""
         cdef int M = points.count, N = points.coefficients
-        self.points, self.share, self.common, self.form, self.rows, self.applied = points, share, 1.0, NEWTON, M, False
+        self.points, self.share, self.common, self.form, self.rows, self.matches = points, share, 1.0, NEWTON, M, 0
+        self.judged, self.matched_at = M + 2, np.zeros(14 + N)
         self.patch, self.right, self.wrong = np.zeros(M, dtype=np.intp), np.zeros(M), np.ones(M)
         self.sigma, self.weights = np.ones(M), np.zeros(M)
         self.take([(12, 6, True), (N, N, True)] + ([] if points.shared == NONE else [(2, 2, True)]))
 
-    def tell(
-        self, const Py_ssize_t[::1] patch, const double[::1] right, const double[::1] wrong, const double[::1] sigma,
-        const double[::1] w
-    ):
-        """Set patches (M,), densities of right and of wrong points (M,), deviations (M,), and weights (M,)."""
-        if not patch.shape[0] == right.shape[0] == wrong.shape[0] == sigma.shape[0] == w.shape[0] == self.rows:
-            raise ValueError("patches, densities, deviations and weights (M,) are expected")
-        self.patch[:], self.right[:], self.wrong[:], self.sigma[:], self.weights[:] = patch, right, wrong, sigma, w
-        self.applied = True
+    @property
+    def matched(self):
+        """Patches (M,), densities of right points (M,) and of wrong ones (M,), and deviations (M,), as they are set."""
+        return np.array(self.patch), np.array(self.right), np.array(self.wrong), np.array(self.sigma)
+
+    def look(self, const double[::1] pose, const double[::1] x, const double[::1] shared, bint look):
+        """The same as `judge` at a pose (12,), coefficients (N,), and what the points share (2,)."""
+        cdef const double *at[8]
+        cdef double[::1] found = np.empty(self.judged)
+        if pose.shape[0] != 12 or x.shape[0] != self.points.coefficients or shared.shape[0] != 2:
+            raise ValueError("a pose (12,), coefficients (N,) and two numbers are expected")
+        at[0], at[1], at[2] = &pose[0], &x[0] if x.shape[0] else NULL, &shared[0]
+        self.judge(at, look, &found[0])
+        return np.asarray(found)
+
+    cdef const double *shared_of(self, const double **at) noexcept nogil:
+        return &NOTHING[0] if self.points.shared == NONE else at[2]
+
+    cdef bint is_near(self, const double *pose, const double *x, const double *shared) noexcept nogil:
+        """Whether that is so near to where points were matched that they keep their patches."""
+        cdef double near = min(NEAR * NEARER ** self.matches, NEAREST), most = near * near
+        cdef const double *there = &self.matched_at[0]
+        cdef int N = self.points.coefficients
+        return (
+            apart(pose, there, 9) < most
+            and apart(pose + 9, there + 9, 3) < most
+            and 0.01 * apart(x, there + 12, N) < most
+            and apart(shared, there + 12 + N, 2) < most
+        )
+
+    cdef void match(self, const double *pose, const double *x, const double *shared) noexcept nogil:
+        """Match the points at a state."""
+        cdef int i, N = self.points.coefficients
+        cdef View view
+        cdef double local[3]
+        self.points.prepare(pose, pose + 9, x, &view)
+        for i in range(self.rows):
+            self.patch[i] = self.points.match_one(
+                i, pose, pose + 9, x, shared, &view, local, &self.right[i], &self.wrong[i], &self.sigma[i]
+            )
+        memcpy(&self.matched_at[0], pose, 12 * sizeof(double))
+        if N:
+            memcpy(&self.matched_at[12], x, N * sizeof(double))
+        memcpy(&self.matched_at[12 + N], shared, 2 * sizeof(double))
+        self.matches += 1
+
+    cdef void judge(self, const double **at, bint look, double *found) noexcept nogil:
+        cdef const double *shared = self.shared_of(at)
+        cdef int i
+        cdef double local[3]
+        cdef double d, inlier
+        if self.matches == 0 or (look and not self.is_near(at[0], at[1], shared)):
+            self.match(at[0], at[1], shared)
+        for i in range(self.rows):
+            self.weights[i] = 0.0
+            if self.right[i] > 0.0:
+                self.points.place(i, at[0], at[0] + 9, shared, local)
+                d = self.points.off(self.patch[i], local, at[1]) / self.sigma[i]
+                inlier = self.right[i] * exp(-0.5 * d * d)
+                self.weights[i] = inlier / (inlier + self.wrong[i])
+            found[i] = self.weights[i]
+        memcpy(found + self.rows, &self.matched_at[12 + self.points.coefficients], 2 * sizeof(double))
 
     cdef double fill(self, const double **at, double *r, double *J) noexcept nogil:
         cdef const double *R = at[0]
         cdef const double *t = at[0] + 9
         cdef const double *x = at[1]
-        cdef const double *shared = &NOTHING[0] if self.points.shared == NONE else at[2]
+        cdef const double *shared = self.shared_of(at)
         cdef int i, k
         cdef double local[3]
-        cdef double size[3]
-        cdef double sensor[3]
         cdef double d, s, inlier, weight, loss, rest, stretch, bend, energy = 0.0, root = sqrt(self.share)
-        if not self.applied:
-            self.points.prepare(R, t, x, size, sensor)
+        cdef bint first = self.matches == 0
+        if first:
+            self.match(R, x, shared)
         for i in range(self.rows):
-            if self.applied:
-                self.points.place(i, R, t, shared, local)
-            else:
-                self.patch[i] = self.points.match_one(
-                    i, R, t, x, shared, size, sensor, local, &self.right[i], &self.wrong[i], &self.sigma[i]
-                )
+            self.points.place(i, R, t, shared, local)
             k = self.patch[i]
             d = self.points.off(k, local, x) / self.sigma[i]
             s = d * d
             inlier = self.right[i] * exp(-0.5 * s)
             weight = inlier / (inlier + self.wrong[i])
-            if not self.applied:
+            if first:
                 self.weights[i] = weight
             loss = log((self.right[i] + self.wrong[i]) / (inlier + self.wrong[i]))
             if self.form == WEIGHTED:
@@ -464,5 +550,4 @@ cdef class PointSource(Source):
             r[i] = root * stretch * d
             if J != NULL and bend != 0.0:
                 self.points.row(i, k, R, local, shared, bend * root / self.sigma[i], J + i * self.columns)
-        self.applied = True
         return NAN if self.form == WEIGHTED else self.share * energy

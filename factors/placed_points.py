@@ -63,10 +63,7 @@ class PlacedPointsFactor(SurfacePointsFactor):
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         """The rows at the values."""
-        if self._matched is None:
-            self.look(values)
-        assert self._matched is not None
-        match, state = self._matched[1], self._state(values)
+        match, state = self._match_at(values), self._state(values)
         distances, by = self.rows.distances(match, *state, want=want_jacobian)
         if by is not None:
             there = gtsam.Pose3(gtsam.Rot3(state[0]), state[1])

@@ -78,6 +78,14 @@ class SensedFactor:
     def look(self, values: gtsam.Values, *, hold: bool = False) -> None:
         """Match anew at the values what is matched; `hold` keeps it."""
 
+    @property
+    def judges(self) -> bool:
+        """Whether the compiled rows match and weigh themselves."""
+        return self._source is not None and self._source.judged > 0
+
+    def judged(self, found: Array) -> None:
+        """Take over what the compiled rows found (`factors._rows.Source.judge`)."""
+
     def tell(self, form: Form, common_factor: float = 1.0) -> None:
         """Set the form, and by how much less it says with `Form.WEIGHTED`."""
         self.form, self.common_factor = form, common_factor

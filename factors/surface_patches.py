@@ -60,14 +60,14 @@ class SurfacePatches:
 
     @cached_property
     def packed(self) -> tuple[Any, ...]:
-        """Arguments of the compiled rows: centres, vectors, normals, both along these, neighbours, grid."""
+        """Arguments of the compiled rows: patches (P, 8), vectors, these along the normals, neighbours, grid."""
         vectors = np.ascontiguousarray(self.basis.transpose(1, 0, 2))
         along = np.ascontiguousarray((vectors * self.normal[:, None]).sum(axis=-1))
+        nothing = np.zeros((len(self.mean), 1))
+        patches = [self.mean, self.normal, (self.mean * self.normal).sum(axis=1, keepdims=True), nothing]
         return (
-            np.ascontiguousarray(self.mean),
+            np.concatenate(patches, axis=1),
             vectors.reshape(len(self.mean), -1),
-            np.ascontiguousarray(self.normal),
-            (self.mean * self.normal).sum(axis=1),
             along,
             np.ascontiguousarray(self.neighbours),
             self.first,

@@ -327,7 +327,8 @@ class SurfacePointsFactor(SensedFactor):
         self._matches = 0
         if rows.compiled is not None:
             self._source = rows.kernel.PointSource(rows.compiled, self._share)
-        self._matched: tuple[State, Match] | None = None
+        self._matched: tuple[State, Match] | None = None  # where nothing is compiled
+        self._shares, self._looked = NOTHING_SHARED, False  # by the points, where they were looked at last
         self.weights = np.zeros(len(rows.points))
 
     @staticmethod
@@ -346,18 +347,35 @@ class SurfacePointsFactor(SensedFactor):
         Near where they were matched last they keep their patches, and where that is requested.
         """
         state = self._state(values)
+        if self._source is not None:
+            rotation, translation, coefficients, shared = state
+            pose = np.concatenate([rotation.ravel(), translation])
+            self.judged(self._source.look(pose, np.ascontiguousarray(coefficients), shared, not hold))
+            return
         near = min(NEAR * NEARER**self._matches, NEAREST)
         if self._matched is None or not (hold or _alike(self._matched[0], state, near)):
             self._matched, self._matches = (state, self.rows.match(*state)), self._matches + 1
         match = self._matched[1]
         self.weights, _ = self.rows.assess(match, self.rows.distances(match, *state, want=False)[0])
+        self._shares, self._looked = self._matched[0][3], True
+
+    def judged(self, found: Array) -> None:
+        """Take over the weights, and what the points share."""
+        self.weights, self._shares, self._looked = found[:-2], found[-2:], True
+
+    def _match_at(self, values: gtsam.Values) -> Match:
+        """What the points are matched to; by the values where they were not looked at yet."""
+        if not self._looked:
+            self.look(values)
         if self._source is not None:
-            self._source.tell(match.patch, match.right, match.wrong, match.sigma, self.weights)
+            return Match(*self._source.matched)
+        assert self._matched is not None
+        return self._matched[1]
 
     @property
     def points(self) -> Array:
         """(M, 3) the points in the camera's frame, by what they share where they were looked at last."""
-        return self.rows.placed(NOTHING_SHARED if self._matched is None else self._matched[0][3])
+        return self.rows.placed(self._shares)
 
     def tell(self, form: Form, common_factor: float = 1.0) -> None:
         """Set the form, and by how much less the points say with `Form.WEIGHTED`."""
@@ -374,10 +392,7 @@ class SurfacePointsFactor(SensedFactor):
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         """The rows at the values."""
-        if self._matched is None:
-            self.look(values)
-        assert self._matched is not None
-        match = self._matched[1]
+        match = self._match_at(values)
         distances, jacobian = self.rows.distances(match, *self._state(values), want=want_jacobian)
         return self._robust(self.weights, (match.right, match.wrong), distances, jacobian, share=self._share)
 

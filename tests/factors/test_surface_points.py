@@ -297,3 +297,21 @@ def test_what_pixels_share_moves_them_along_their_rays(kind: PointRows) -> None:
     else:
         assert 1.0 / after == pytest.approx(np.exp(0.02) / before + 0.03)
     assert placed / after[:, None] == pytest.approx(kind.points / before[:, None])
+
+
+@pytest.mark.skipif(native("factors._points") is None, reason="no compiled kernel")
+def test_the_compiled_rows_judge_as_the_callback_looks(kind: PointRows) -> None:
+    """Also where points keep their patches: on request, and near where they were matched."""
+    plain = replace(kind)
+    plain.__dict__["compiled"] = None
+    judging, looking = bound(kind), bound(plain)
+    assert judging.judges
+    assert not looking.judges
+    for step, hold in ((0.0, False), (1e-4, False), (0.02, True), (0.02, False), (0.021, False), (0.1, False)):
+        values = at(kind, CHANGE + step, np.array([0.3, -0.5]) + step)
+        for one in (judging, looking):
+            one.look(values, hold=hold)
+        assert judging.weights == pytest.approx(looking.weights, abs=1e-9)
+        assert judging.points == pytest.approx(looking.points, abs=1e-12)
+        for one, other in zip(judging(values, want_jacobian=True), looking(values, want_jacobian=True), strict=True):
+            assert one == pytest.approx(other, rel=1e-8, abs=1e-8)

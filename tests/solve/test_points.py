@@ -33,6 +33,7 @@ from fgrecon.solve.proposals.point_search import search_with_points
 from fgrecon.solve.proposals.point_term import with_its_points
 from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.proposals.search import best_of
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.vehicle.visibility import clearance, probability
 
@@ -137,6 +138,25 @@ def test_where_the_picture_ended_elsewhere_the_search_goes_all_round(lost: bool)
     aside[:3, 3] = 40.0, 1.0, 12.0
     found = search_with_points(problem, Hypotheses.at_poses(aside[None], PRIOR.dimension), 0.0 if lost else 5.0)
     assert (np.linalg.norm(found.poses[0, :3, 3] - PLACE) < 1.0) == lost
+
+
+@pytest.mark.parametrize("count", [1, 16, 200])
+def test_the_best_starts_are_those_of_the_least_energies(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though those are given up early whose energies are above the best."""
+    observation, points = scanned(-0.8, PLACE)
+    setup = SolveSetup.of(PRIOR, "kitti", OPTIONS, 1.65)
+    given = observation.with_evidence([Points(points)])
+    energy = Problem.of(given, CAMERA, setup.model_of([given]), setup.ground, OPTIONS).energy
+    assert energy.points
+    rng = np.random.default_rng(3)
+    poses = np.tile(np.eye(4), (60, 1, 1))
+    poses[:, :3, :3] = [yaw_rotation(yaw) for yaw in rng.uniform(-3.0, 3.0, 60)]
+    poses[:, :3, 3] = PLACE + rng.normal(0.0, [1.0, 0.1, 3.0], (60, 3))
+    starts = Hypotheses.at_poses(poses, PRIOR.dimension)
+    expected = starts.take(np.argsort(energy.evaluate(starts)[0].energy, kind="stable")[:count])
+    assert (best_of(energy, starts, count).translation == expected.translation).all()
+    monkeypatch.setenv("FGRECON_KERNEL", "numpy")
+    assert (best_of(replace(energy), starts, count).translation == expected.translation).all()
 
 
 def test_a_vehicle_without_keypoints() -> None:

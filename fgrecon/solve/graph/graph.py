@@ -142,6 +142,8 @@ class Graph:
         self.shared = SharedErrors(self.observations, free=pose_free and not hold_shape)
         parts = enumerate(self.observations)
         each = [(i, found, found.factor()) for i, part in parts for found in sensed_of(part, self.shared)]
+        each.sort(key=lambda one: not one[1].judges)  # those of compiled rows first
+        self._judging = sum(found.judges for _, found, _ in each)
         self.sensed: list[SensedFactor] = [found for _, found, _ in each]
         self._sensed_factors = [factor for _, _, factor in each]
         self._sensed_by = [index for index, _, _ in each]
@@ -233,21 +235,24 @@ class Graph:
         """The same at a point of `system`; `held` are indices of observations of which they are kept in any case."""
         assert self._system is not None
         looks = [not (hold or i in held) for i in range(len(self.observations))]
-        if self.sensed or not self._judges:
+        if not self._judges:
             values = self._system.values(point)
             self.look(values, hold=hold)
-        if not self._judges:
             return [
                 part.reweigh(values, weights, progress, hold=not look)
                 for part, weights, look in zip(self.observations, before, looks, strict=True)
             ]
         form = Form.NEWTON if self._applied is None else self._applied[1]
         self._tell(before, form)
-        found = self._system.judge(point, looks)
+        found = self._system.judge(point, [*looks, *[not hold] * self._judging])
         weights = [
             part.judged(one, None if look else w)
-            for part, one, look, w in zip(self.observations, found, looks, before, strict=True)
+            for part, one, look, w in zip(self.observations, found, looks, before, strict=False)
         ]
+        for one, judged in zip(self.sensed, found[len(looks) :], strict=False):
+            one.judged(judged)
+        for one in self.sensed[self._judging :]:
+            one.look(self._system.values(point), hold=hold)
         self._applied = weights, form
         return weights
 

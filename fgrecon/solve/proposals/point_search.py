@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from factors.surface_points import PointRows, Shared
 from fgrecon.solve.proposals.point_term import PointTerm
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.proposals.search import SearchResult, search
+from fgrecon.solve.proposals.search import SearchResult, best_of, search
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.starts import at_azimuths, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
@@ -40,7 +40,7 @@ def search_with_points(problem: Problem, pictured: Hypotheses, carrying: float) 
     energy = replace(problem.energy, points=some)
     rough = replace(energy, points=tuple(replace(one, rows=_roughly(one.rows)) for one in some))
     starts = _starts(problem, pictured)
-    best = search(rough, starts, 0, {}).hypotheses.take(np.arange(min(POINTS.rough_starts, len(starts))))
+    best = best_of(rough, starts, POINTS.rough_starts)
     near = search(rough, best, POINTS.rough_iterations, {}).hypotheses
     return search(energy, near, POINTS.iterations, {POINTS.kept_from_iteration: POINTS.kept_hypotheses})
 

@@ -130,7 +130,7 @@ def _compile(energy: PoseEnergy) -> Any:
         None if energy.direction is None else energy.direction.probability,
     )
     if energy.points:
-        compiled.search_points([one.rows.compiled for one in energy.points])
+        compiled.search_beside([one.rows.compiled for one in energy.points])
     return compiled
 
 
@@ -190,6 +190,16 @@ def search(energy: PoseEnergy, starts: Hypotheses, iterations: int, keep: Mappin
     order = np.argsort(total.energy, kind="stable")
     path, path_weights = _path(snapshots, int(order[0]))
     return SearchResult(h.take(order), total.energy[order], weights[order], path, path_weights)
+
+
+def best_of(energy: PoseEnergy, starts: Hypotheses, count: int) -> Hypotheses:
+    """The starts of the least energies, at most so many, best first."""
+    if energy.compiled is None:
+        return starts.take(np.argsort(energy.evaluate(starts, 0.0)[0].energy, kind="stable")[:count])
+    kernel = native("factors._energy")
+    assert kernel is not None
+    h = (np.ascontiguousarray(one) for one in (starts.rotation, starts.translation, starts.coefficients))
+    return starts.take(kernel.best(energy.compiled, *h, MIN_DEPTH, count))
 
 
 def _compiled_search(compiled: Any, starts: Hypotheses, iterations: int, keep: Mapping[int, int]) -> SearchResult:
