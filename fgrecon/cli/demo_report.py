@@ -16,6 +16,7 @@ from fgrecon.core.category import Category
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.io.export.results import DEMO_FORMAT
 from fgrecon.simulation.demo import DemoScene
 from fgrecon.simulation.keypoint_noise import OUTLIER
 from fgrecon.simulation.sample import GROUND, SampleStreet, sample_street
@@ -23,8 +24,6 @@ from fgrecon.solve.pipeline import reconstruct
 from fgrecon.viz import DrawnVehicle, Truth, scene_picture
 from fgrecon.viz.describe import describe_bounds
 from fgrecon.viz.subjects import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
-
-FORMAT = "fgrecon.demo/1"
 
 _TITLES = {"initialisation": "initial", "pose": "after pose", "shape": "after shape", "joint": "after both"}
 
@@ -118,7 +117,7 @@ def document(
     """The result as plain values for JSON."""
     size = () if truth.box_size is None else truth.box_size.tolist()
     return {
-        "format": FORMAT,
+        "format": DEMO_FORMAT,
         "seed": seed,
         "truth": {
             **_pose_to_dict(truth.camera_T_object),

@@ -15,7 +15,7 @@ from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz.outcomes import HEADINGS, cells_of, clause_of, message_of
 
 _ROWS = 300  # vehicles that the table has at most: it is for eyes, and slow to lay out
-_NAMED = 8  # vehicles with the same message that are named with it
+NAMED = 8  # vehicles with the same message that are named with it
 _CELL = 120  # characters of a cell: ids come from anywhere
 
 
@@ -38,7 +38,7 @@ def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
         elif clause := clause_of(outcome):
             clauses.setdefault(clause, []).append(outcome.name)
     for clause, names in clauses.items():
-        listed = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+        listed = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
         screen.print(f"{listed}: {clause}")
     for outcome in outcomes:
         if outcome.closest is not None:

@@ -17,6 +17,7 @@ from fgrecon.batch.vehicle_tasks import VehicleTask
 from fgrecon.cli import reconstruct_report as report
 from fgrecon.cli.outputs import check_not_over, files_in
 from fgrecon.cli.reconstruct_options import Drawings, ReconstructRequest
+from fgrecon.cli.reconstruct_report import NAMED
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
@@ -25,9 +26,6 @@ from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.files import write_text
 from fgrecon.io.images import IMAGES, read_photograph, refuse_unread
 from fgrecon.viz.outcomes import draw, draw_moving, recordings
-
-_NAMED = 8
-"""Vehicles that an error names."""
 
 
 def reconstruct_file(files: Sequence[Path], request: ReconstructRequest, screen: Screen) -> bool:
@@ -77,8 +75,8 @@ def _report(solved: SolvedFile, screen: Screen) -> None:
     for line in solved.focal_lengths:
         screen.warn(line)
     left_out = solved.parts_left_out
-    more = [f"... and {len(left_out) - _NAMED} more left out."] if left_out[_NAMED:] else []
-    screen.print(*left_out[:_NAMED], *more)
+    more = [f"... and {len(left_out) - NAMED} more left out."] if left_out[NAMED:] else []
+    screen.print(*left_out[:NAMED], *more)
     for line in solved.contradictions:
         screen.warn(line)
     if ignored := solved.read.ignored:
@@ -105,7 +103,7 @@ def _check_animated(drawings: Drawings, tasks: Sequence[VehicleTask]) -> None:
 
 def _listed(names: Sequence[str]) -> str:
     """The names, or the first of very many."""
-    return ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
+    return ", ".join(names[:NAMED]) + (", ..." if len(names) > NAMED else "")
 
 
 def _ground_of(source: CameraSource, image: str | None) -> list[str]:

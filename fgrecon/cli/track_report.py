@@ -32,13 +32,12 @@ from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoints import NOT_JSON
 from fgrecon.io.run_settings import RunSettings, settings_to_dict
 from fgrecon.io.track_file import Track, parse_track
+from fgrecon.perception.sensor_source import IMAGES
 from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.solve.track import reconstruct_track
 from fgrecon.viz import Recording, SolvedVehicle, TrackInputs, Truth, contact_sheet, save_picture
 
 FORMAT = f"fgrecon.track/{SCHEMA_VERSION}"
-
-_ENDINGS = (".png", ".jpg", ".jpeg")
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,7 @@ def _numbers_of(names: Sequence[str]) -> list[int]:
 
 
 def _image(folder: Path, number: int) -> NDArray[np.uint8]:
-    for ending in _ENDINGS:
+    for ending in IMAGES:
         path = folder / f"{number:06d}{ending}"
         if path.is_file():
             return read_image(path)

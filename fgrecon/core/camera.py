@@ -25,7 +25,7 @@ ANY_FOCAL_SIGMA = 0.5
 MIN_DEPTH = 0.3
 """Nothing may be nearer to the camera than this, metres; `factors.projection` has the depths of its own barrier."""
 
-_CUT_OFF = 0.03  # share of rows or columns that an image may have lost: KITTI's are cropped by a few
+CUT_OFF = 0.03  # share of rows or columns that an image may have lost: KITTI's are cropped by a few
 _LARGEST_SIGMA = 2.0  # of a focal length's logarithm: five times longer or shorter is no lens any more
 _SIZE = "Give width and height in whole pixels."
 _NARROWEST, _FARTHEST = 1e-9, 1e6  # metres, radians: what a ground is known to, and how high a camera is at most
@@ -157,7 +157,7 @@ class Camera:
             InvalidInputError: It is known to take images of another size; some rows and columns may be cut off.
         """
         size = image.shape[1], image.shape[0]
-        if self.image_size is not None and np.abs(np.divide(size, self.image_size) - 1.0).max() > _CUT_OFF:
+        if self.image_size is not None and np.abs(np.divide(size, self.image_size) - 1.0).max() > CUT_OFF:
             known = f"{self.image_size[0]} x {self.image_size[1]}"
             fix = (
                 f"Give a calibration for that size: this one is for {known} pixels. Of a part of an image say which "

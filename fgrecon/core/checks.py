@@ -20,6 +20,7 @@ _NUMBER = _NUMBERS.replace("b", "")  # True is no number of metres
 
 Kept = TypeVar("Kept", bound=NDArray[Any])
 
+RIGID = 1e-3  # by so much a rotation may fail to be one: calibrations and text have few digits
 _LAST_ROW = 1e-6  # by so much 0 0 0 1 may be off
 
 
@@ -118,13 +119,13 @@ def own(array: Kept) -> Kept:
     return kept
 
 
-def as_rigid(field: str, value: ArrayLike, tolerance: float) -> NDArray[np.float64]:
+def as_rigid(field: str, value: ArrayLike, tolerance: float = RIGID) -> NDArray[np.float64]:
     """A rigid motion as a matrix (4, 4), as it is given.
 
     Args:
         field: Its name.
         value: [R t; 0 0 0 1].
-        tolerance: By how much an element of R R^T may differ from the identity's: digits were lost.
+        tolerance: By how much an element of R R^T may differ from the identity's.
 
     Raises:
         InvalidInputError: It has another shape, an element is not finite, R is no rotation (it mirrors, say), or the

@@ -16,8 +16,6 @@ from fgrecon.core.mask import Mask
 from fgrecon.core.repr import brief_repr
 from fgrecon.core.vehicle_class import VehicleClass
 
-_RIGID = 1e-3  # by so much an element of R R^T may be off: calibrations have few digits
-
 
 @dataclass(frozen=True, eq=False)
 class StereoPair:
@@ -44,7 +42,7 @@ class StereoPair:
         """
         object.__setattr__(self, "image", np.asarray(self.image))
         object.__setattr__(self, "camera", Camera.of(self.camera))
-        motion = as_rigid("right_T_left", self.right_T_left, _RIGID)
+        motion = as_rigid("right_T_left", self.right_T_left)
         if not motion[0, 3] < 0.0 or abs(motion[0, 3]) < np.abs(motion[1:3, 3]).max():
             fix = "Give the motion from the left camera's frame to the right one's: (-baseline, 0, 0) where rectified."
             raise InvalidInputError("right_T_left", motion[:3, 3].tolist(), fix)

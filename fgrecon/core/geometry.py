@@ -33,6 +33,7 @@ MIRROR = np.array([1.0, 1.0, -1.0])
 FORWARD_LEFT_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """From axes x forward, y left, z up, as robots and most data sets have them, to the object frame."""
 
+UPRIGHT = float(np.cos(np.radians(30.0)))  # cosine to which a z axis points up: a mounted camera leans by less
 AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """From a camera's axes right, down, forward to axes forward, left, up."""
 

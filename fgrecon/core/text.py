@@ -37,6 +37,11 @@ def whole_text(text: str) -> str:
     return text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
 
 
+def one_word(text: object) -> str:
+    """A name as one word: what separated its words is `_`."""
+    return "_".join(str(text).split())
+
+
 def distinct(name: str, taken: set[str]) -> str:
     """A name, with a number behind it where it is taken; it is taken from then on."""
     own, number = name, 1

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Points
-from fgrecon.core.geometry import AHEAD, transform
+from fgrecon.core.geometry import AHEAD, UPRIGHT, transform
 from fgrecon.io.bag import NANO, Bag, split
 from fgrecon.io.bag_frames import BagFrames
 from fgrecon.io.bag_images import PICTURES
@@ -41,7 +41,6 @@ Array = NDArray[np.float64]
 CLOUD = "sensor_msgs/msg/PointCloud2"
 _INFO, _ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
 _TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-_UP = np.cos(np.radians(30.0))  # the cosine to which a frame's z axis points up: a mounted camera leans by less
 _FARTHEST = 0.1  # seconds between an image and its scan: half of the slowest LiDAR's interval, and a bit
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """numpy's names of a field's numbers by PointCloud2's."""
@@ -142,7 +141,7 @@ class BagDrive:
         top = tree.above(self.frame)[-1]
         times = [self.frames.times[0], self.frames.times[len(self.frames.times) // 2]]
         placed = next((one for time in times if (one := tree.pose(top, self.frame, time)) is not None), pose)
-        if top != self.frame and placed[2, 2] > _UP:
+        if top != self.frame and placed[2, 2] > UPRIGHT:
             self.warnings.append(
                 f"The frame {self.frame} of {self.frames.topic} has z up, and is no optical one: x is taken for ahead."
             )

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from fgrecon.core.checks import array_of
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
+from fgrecon.core.text import one_word
 from fgrecon.io.boxes import COCO_CLASSES, YOLO_CLASSES, NamedBox
 from fgrecon.io.catalogue import class_of_kind
 
@@ -42,7 +43,7 @@ def boxes_from(given: Any) -> list[NamedBox] | None:
         return None
     boxes = []
     for number, (corners, kind, score, track) in enumerate(found):
-        name = _CAR if kind is None else "_".join(str(kind).split())
+        name = _CAR if kind is None else one_word(kind)
         known = class_of_kind(name)
         if known is None and name.lower() != _CAR:
             continue

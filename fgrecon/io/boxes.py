@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
-from fgrecon.core.text import counted
+from fgrecon.core.text import counted, one_word
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.box_csv import CsvBox, read_csv_boxes
 from fgrecon.io.catalogue import class_of_kind
@@ -288,7 +288,7 @@ class _Sized:
     @classmethod
     def of(cls, file: Path, row: CsvBox) -> _Sized:
         """The box of a row."""
-        kind = _yolo_class(file, int(row.kind)) if row.kind.isdecimal() else _word(row.kind)
+        kind = _yolo_class(file, int(row.kind)) if row.kind.isdecimal() else one_word(row.kind)
         box = _Box(row.corners, BoxModel.SURFACE, kind, True, row.score, row.image, True, row.track)  # noqa: FBT003
         return cls(box, row.size)
 
@@ -383,7 +383,7 @@ def _names_in(file: Path, changed: int) -> Mapping[int, str]:  # noqa: ARG001
         names = _named_classes(text)
     if _CAR not in (str(name).lower() for name in names.values()):
         raise InvalidInputError(str(file), ", ".join(map(str, names.values())), "Let a class be `car`.")
-    return {int(number): _word(name) for number, name in names.items() if str(number).isdecimal()}
+    return {int(number): one_word(name) for number, name in names.items() if str(number).isdecimal()}
 
 
 def _named_classes(text: str) -> Mapping[Any, Any]:
@@ -397,11 +397,6 @@ def _named_classes(text: str) -> Mapping[Any, Any]:
     return names if isinstance(names, Mapping) else dict(enumerate(names if isinstance(names, list) else []))
 
 
-def _word(name: object) -> str:
-    """A class as one word."""
-    return "_".join(str(name).split())
-
-
 @lru_cache(maxsize=2)
 def _coco(file: Path, changed: int) -> _Coco:  # noqa: ARG001  # a changed file is read again
     """The content of a file."""
@@ -411,7 +406,7 @@ def _coco(file: Path, changed: int) -> _Coco:  # noqa: ARG001  # a changed file 
         fields = Fields(data, f"{file}: ")
         entries = fields.get("annotations", list)
         if "categories" in fields:
-            kinds = {plain_id(c["id"]): _word(c.get("name")) for c in _entries(fields, "categories") if "id" in c}
+            kinds = {plain_id(c["id"]): one_word(c.get("name")) for c in _entries(fields, "categories") if "id" in c}
         pictures = _entries(fields, "images") if "images" in fields else []
     if not isinstance(entries, list):
         raise InvalidInputError(str(file), type(entries).__name__, _FIX)
@@ -479,7 +474,7 @@ class _Coco:
         """Class of a box; its id where nobody names it."""
         number = plain_id(fields.data.get("category_id"))
         known: Mapping[Any, str] = COCO_CLASSES if self.kinds is None else self.kinds
-        return _word(known.get(number, number))
+        return one_word(known.get(number, number))
 
 
 def coco_entries(file: Path, image: Path) -> list[tuple[Fields, tuple[int, int] | None]]:

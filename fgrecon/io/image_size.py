@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from fgrecon.core.camera import CUT_OFF
 from fgrecon.core.errors import InvalidInputError
 
 Size = tuple[int, int]
 """Width and height in pixels."""
 
-_CUT_OFF = 0.03  # share of rows or columns that an image may have lost, as `Camera.with_size_of` has it
 _ROUNDING = 1.0  # pixels by which the sides of a smaller picture are rounded
 _SAME = 1.0, 1.0
 
@@ -47,7 +47,7 @@ def scale_between(stated: Size | None, actual: Size | None, field: str, *, scale
 
 def same_image_size(stated: Size, actual: Size) -> bool:
     """Whether two sizes are of one image, of which some rows and columns may be cut off."""
-    return bool(np.abs(np.divide(stated, actual) - 1.0).max() <= _CUT_OFF)
+    return bool(np.abs(np.divide(stated, actual) - 1.0).max() <= CUT_OFF)
 
 
 def _is_scaled(one: Size, other: Size) -> bool:

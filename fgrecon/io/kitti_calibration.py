@@ -16,7 +16,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import read_text
 
 _FOCAL_TOLERANCE = 0.01  # pixels
-_RIGID = 1e-3  # by so much an element of R R^T may be off
 _RECTIFYING = "R0_rect", "R_rect", "R_rect_00"
 _ODOMETRY = "Tr"
 _LIDAR = "Tr_velo_to_cam", "Tr_velo_cam", _ODOMETRY
@@ -127,7 +126,7 @@ def _lidar(path: Path, content: Mapping[str, list[str]], offset: NDArray[np.floa
         return None
     motion[:3] = rotation @ motion[:3]
     motion[:3, 3] += offset
-    return as_rigid(f"{path}: {name or _RAW_LIDAR}", motion, _RIGID)
+    return as_rigid(f"{path}: {name or _RAW_LIDAR}", motion)
 
 
 def calibration_beside(image: Path) -> KittiCalibration | None:

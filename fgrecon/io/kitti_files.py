@@ -26,7 +26,7 @@ _DETECTION_NUMBERS = {name.lower(): number for number, name in DETECTION_CLASSES
 LABEL_COLUMNS = 15
 """Columns of a line of a label file; a result has its score after them."""
 _DETECTION_COLUMNS = 7
-_UNKNOWN = -1.0
+UNKNOWN = -1.0
 
 
 class DetectionLine(NamedTuple):
@@ -77,7 +77,7 @@ class Objects:
     def detections(cls, kind: Sequence[str], box: NDArray[np.float64], score: NDArray[np.float64]) -> Objects:
         """Objects of which only type, 2D box (M, 4) and score (M,) are known; the rest has KITTI's marks for that."""
         rows = np.tile(
-            [_UNKNOWN, _UNKNOWN, -10.0, *4 * [0.0], *3 * [_UNKNOWN], *3 * [-1000.0], -10.0, 0.0], (len(kind), 1)
+            [UNKNOWN, UNKNOWN, -10.0, *4 * [0.0], *3 * [UNKNOWN], *3 * [-1000.0], -10.0, 0.0], (len(kind), 1)
         )
         rows[:, 3:7], rows[:, 14] = np.reshape(box, (-1, 4)), score
         return cls.of_rows(kind, rows)
@@ -135,7 +135,7 @@ def _finite(words: Sequence[str], line: str) -> list[float]:
 def format_results(objects: Objects) -> str:
     """The objects as lines of KITTI's result format: 16 columns, a score of 1 where there is none."""
     score = np.where(np.isnan(objects.score), 1.0, objects.score)
-    truncation = ["-1" if value == _UNKNOWN else f"{value:.2f}" for value in objects.truncation]
+    truncation = ["-1" if value == UNKNOWN else f"{value:.2f}" for value in objects.truncation]
     lines = []
     for i, kind in enumerate(objects.kind):
         length, width, height = objects.size[i]

@@ -24,8 +24,6 @@ from fgrecon.solve.vehicle.visibility import clearance
 _IMAGE_SIZE = (960, 540)
 _CAMERA = Camera(np.array([[900.0, 0.0, 479.5], [0.0, 900.0, 229.5], [0.0, 0.0, 1.0]]), image_size=_IMAGE_SIZE)
 _CAMERA_HEIGHT = 1.65
-_LAMBDA = 1.2
-"""Coefficients are kept within this, for a car that looks like one."""
 _PLANTER = (1.2, 0.4, 0.58)
 _PLANTER_GAP = 1.0
 """Length, width and height of the planter, and its distance from the wheel that it hides; metres."""
@@ -67,7 +65,7 @@ def demo_scene(prior: ShapePrior, seed: int = 0, noise: NoiseModel = HOURGLASS) 
         InvalidInputError: The prior has no surface.
     """
     rng = np.random.default_rng(seed)
-    vehicle = Vehicle.of_prior(prior, np.clip(rng.standard_normal(prior.dimension), -_LAMBDA, _LAMBDA))
+    vehicle = Vehicle.usual(prior, rng)
     ground = Ground.level(_CAMERA_HEIGHT)
     yaw = float(rng.choice([-1.0, 1.0])) * (np.pi / 2 + rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(25.0, 55.0)))
     pose = yaw_pose(yaw, np.array([rng.uniform(-0.8, 0.8), _CAMERA_HEIGHT, rng.uniform(8.0, 10.0)]))

@@ -26,8 +26,6 @@ LABEL_OFFSET = np.array([0.06, -0.0004, 0.0027])
 """A labelled point in the camera's frame is X + offset, metres; as in KITTI's calibrations."""
 
 _POINTS, _ON_GROUND, _RANGE_SIGMA = 3e4, 2000, 0.02  # of a scan: on cars, for each steradian of theirs; metres
-_LAMBDA = 1.2
-"""Coefficients are kept within this, for cars that look like some."""
 _AHEAD, _ONCOMING = -np.pi / 2, np.pi / 2
 _PARKED = ((_ONCOMING + 0.35, -3.4, 11.0), (_AHEAD - 0.3, 2.9, 13.5), (_ONCOMING + 0.1, -10.5, 17.5))
 """Yaw in radians, x and z in metres of the street's cars."""
@@ -173,7 +171,7 @@ def disturbed_boxes(boxes: Sequence[Box3D], camera: Camera, errors: BoxErrors, r
 
 
 def _vehicle(prior: ShapePrior, rng: np.random.Generator) -> Vehicle:
-    return Vehicle.of_prior(prior, np.clip(rng.standard_normal(prior.dimension), -_LAMBDA, _LAMBDA))
+    return Vehicle.usual(prior, rng)
 
 
 def _seen(vehicle: Vehicle, camera_T_object: NDArray[np.float64], rng: np.random.Generator) -> SeenCar:

@@ -27,6 +27,10 @@ KITTI_CAMERA = Camera(
 _KITTI_HEIGHT = 1.65
 
 
+_USUAL = 1.2
+"""Standard deviations that coefficients are kept within, for a vehicle that looks like a car."""
+
+
 @dataclass(frozen=True)
 class Vehicle:
     """A shape to simulate.
@@ -54,6 +58,11 @@ class Vehicle:
             raise InvalidInputError("prior.surface", None, "Use a prior with a surface.")
         values = np.asarray(coefficients, dtype=np.float64)
         return cls(prior.category, prior.keypoints(values), prior.surface.vertices(values), prior.surface.faces, values)
+
+    @classmethod
+    def usual(cls, prior: ShapePrior, rng: np.random.Generator) -> Vehicle:
+        """A random shape of the prior that looks like a car: coefficients are kept within `_USUAL`."""
+        return cls.of_prior(prior, np.clip(rng.standard_normal(prior.dimension), -_USUAL, _USUAL))
 
     @classmethod
     def sample(cls, prior: ShapePrior, rng: np.random.Generator) -> Vehicle:

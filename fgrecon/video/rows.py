@@ -14,13 +14,12 @@ from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.serialise import plain
 from fgrecon.core.vehicle_estimate import VehicleEstimate
-from fgrecon.io.kitti_files import Objects, TrackedObjects, format_tracking
+from fgrecon.io.export.video_frames import FRAME_FORMAT
+from fgrecon.io.kitti_files import UNKNOWN, Objects, TrackedObjects, format_tracking
 from fgrecon.video.follow import DEFAULT_KIND, TrackedFrame
 
 Array = NDArray[np.float64]
 
-FRAME_FORMAT = "fgrecon.video-frame/1"
-_UNKNOWN = -1.0
 _ARRAYS = frozenset(["pose_covariance", "world_T_object"])  # of a row; None where they are not known
 
 
@@ -102,7 +101,7 @@ def _line(frame: TrackedFrame, identity: int, offset: Array) -> list[float]:
     alpha = float(wrap_angle(yaw - np.arctan2(place[0], place[2])))
     length, width, height = result.box_size
     size = (height, width, length)
-    return [_UNKNOWN, _UNKNOWN, alpha, *frame.boxes[identity], *size, *place, yaw, frame.scores[identity]]
+    return [UNKNOWN, UNKNOWN, alpha, *frame.boxes[identity], *size, *place, yaw, frame.scores[identity]]
 
 
 def frame_lines(frames: Iterable[TrackedFrame], ground: Ground | None = None) -> Iterator[str]:

@@ -17,7 +17,7 @@ from fgrecon.viz.subjects import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERR
 
 LEVEL = 0.95
 """Probability with which the true values are within the bounds and regions that are shown."""
-_SIGMAS = 1.96  # standard deviations of that, in one dimension
+SIGMAS = 1.96  # standard deviations of that, in one dimension
 _SETTLED = 1e-2  # weights that change by less look settled to a reader
 
 
@@ -84,7 +84,7 @@ def bounds_of(result: Reconstruction) -> tuple[float, float] | None:
         return None
     towards = result.location / max(float(np.linalg.norm(result.location)), 1e-9)
     along = np.sqrt(towards @ position_covariance(result.camera_T_object, covariance) @ towards)
-    return _SIGMAS * float(along), _SIGMAS * float(np.degrees(np.sqrt(covariance[1, 1])))  # yaw about its y axis
+    return SIGMAS * float(along), SIGMAS * float(np.degrees(np.sqrt(covariance[1, 1])))  # yaw about its y axis
 
 
 def describe_bounds(result: Reconstruction) -> str:

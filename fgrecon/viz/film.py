@@ -21,7 +21,7 @@ from fgrecon.io.video import write_video
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.frame_store import FrameStore
 from fgrecon.video.rows import motion_of
-from fgrecon.viz.describe import state_in_words
+from fgrecon.viz.describe import SIGMAS, state_in_words
 from fgrecon.viz.entities import SIZES
 from fgrecon.viz.overlay import annotated
 from fgrecon.viz.picture import save_picture
@@ -36,7 +36,6 @@ Image = NDArray[np.uint8]
 _AHEAD = 2  # frames that wait to be drawn, while others come
 _RATE = 10.0  # for players; the frames have times of their own
 _TRAIL = 100  # frames that a vehicle's path is drawn
-_SIGMAS = 1.96  # of 95 %
 _STANDING = 1.0  # m/s: to so much the speed of what stands is worth writing
 
 
@@ -283,7 +282,7 @@ def values_of(estimate: VehicleEstimate) -> dict[str, tuple[float, ...]]:
 def _band(value: float, sigma: float | None) -> tuple[float, ...]:
     """A value with its band of 95 %, which is NaN where that is not known."""
     sigma = np.nan if sigma is None else sigma
-    return (float(value), float(value - _SIGMAS * sigma), float(value + _SIGMAS * sigma))
+    return (float(value), float(value - SIGMAS * sigma), float(value + SIGMAS * sigma))
 
 
 def _state(estimate: VehicleEstimate | None) -> str:

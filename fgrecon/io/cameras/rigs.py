@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.cameras.camera_file_names import named_camera
+from fgrecon.io.datasets import waymo
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.nuscenes import NuScenesTables, pose_of
 
@@ -44,7 +45,6 @@ def ground_below(vehicle_T_camera: NDArray[np.float64]) -> Ground | None:
 
 
 _WAYMO_LISTS = "camera_calibrations", "cameraCalibrations"
-_WAYMO_NAMES = {1: "FRONT", 2: "FRONT_LEFT", 3: "FRONT_RIGHT", 4: "SIDE_LEFT", 5: "SIDE_RIGHT"}
 
 
 def nuscenes_camera(tables: NuScenesTables, image: str | None, name: str | None) -> MountedCamera:
@@ -121,7 +121,7 @@ def waymo_camera(data: Any, name: str | None, where: str) -> MountedCamera:
     for number, entry in enumerate(_waymo_entries(data)):
         fields = Fields(entry, f"{where}[{number}].")
         title = fields.data.get("name", number)
-        found[str(_WAYMO_NAMES.get(title, title) if isinstance(title, int) else title)] = fields
+        found[str(waymo.CAMERAS.get(title, title) if isinstance(title, int) else title)] = fields
     fields = found[named_camera(found, name, where)]
     fx, fy, cx, cy, *lens = fields.numbers("intrinsic", (9,)).tolist()
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])

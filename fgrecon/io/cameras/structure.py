@@ -185,4 +185,4 @@ def nerfstudio_camera(data: Mapping[str, Any], image: str | None, name: str | No
 def _pose(fields: Fields) -> NDArray[np.float64]:
     """(4, 4) world_T_camera of an image."""
     name = f"{fields.where}transform_matrix"
-    return as_rigid(name, fields.numbers("transform_matrix", (4, 4)), 1e-3) @ _BACK_UP
+    return as_rigid(name, fields.numbers("transform_matrix", (4, 4))) @ _BACK_UP

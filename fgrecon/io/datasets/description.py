@@ -22,6 +22,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import FORWARD_LEFT_UP, transform
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import rotation_y
+from fgrecon.core.text import one_word
 from fgrecon.io.files import write_bytes
 from fgrecon.io.kitti_calibration import KittiCalibration
 from fgrecon.io.kitti_drives import Drive, DriveFrame
@@ -233,7 +234,7 @@ def _frame(number: int, image: CameraImage, drive: DataSequence, tracks: dict[st
     moment = None if image.moment is None else drive.moments[image.moment]
     boxes = () if moment is None else moment.boxes
     visible = [(box, row) for box in boxes if (row := _row(box, image)) is not None]
-    kinds = [drive.cars.get(box.kind, "_".join(box.kind.split())) for box, _ in visible]
+    kinds = [drive.cars.get(box.kind, one_word(box.kind)) for box, _ in visible]
     objects = Objects.of_rows(kinds, np.array([row for _, row in visible]))
     return DriveFrame(
         number=number,

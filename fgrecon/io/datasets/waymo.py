@@ -29,10 +29,9 @@ Array = NDArray[np.float64]
 _IMAGES, _CAMERAS, _BOXES, _POSES = "camera_image", "camera_calibration", "lidar_box", "vehicle_pose"
 _TIME, _CAMERA = "key.frame_timestamp_micros", "key.camera_name"
 _MICROSECONDS = 1e-6
-_NAMES = {1: "FRONT", 2: "FRONT_LEFT", 3: "FRONT_RIGHT", 4: "SIDE_LEFT", 5: "SIDE_RIGHT"}
+CAMERAS = {1: "FRONT", 2: "FRONT_LEFT", 3: "FRONT_RIGHT", 4: "SIDE_LEFT", 5: "SIDE_RIGHT"}
 _KINDS = {0: "TYPE_UNKNOWN", 1: "TYPE_VEHICLE", 2: "TYPE_PEDESTRIAN", 3: "TYPE_SIGN", 4: "TYPE_CYCLIST"}
 _CARS = {"TYPE_VEHICLE": "Car"}
-_RIGID = 1e-3
 
 
 def _segments(path: Path) -> dict[str, Path]:
@@ -64,8 +63,8 @@ def _read(name: str, path: Path) -> DataSequence:
             raise InvalidInputError(f"{table.where}{_CAMERA}", camera, f"Give its row in {path / _CAMERAS}.")
         images.append(
             CameraImage(
-                camera=_NAMES.get(camera, str(camera)),
-                path=unpacked_images() / name / _NAMES.get(camera, str(camera)) / f"{time}.jpg",
+                camera=CAMERAS.get(camera, str(camera)),
+                path=unpacked_images() / name / CAMERAS.get(camera, str(camera)) / f"{time}.jpg",
                 name=str(time),
                 time=float(taken[row]),
                 lens=lenses[camera],
@@ -105,7 +104,7 @@ def _poses(table: Columns, name: str) -> Array:
         found = np.array(values, dtype=np.float64).reshape(-1, 4, 4)
     except (TypeError, ValueError):
         raise InvalidInputError(f"{table.where}{column}", "no matrices", "Give 16 numbers a row.") from None
-    return np.array([as_rigid(f"{table.where}{column}", pose, _RIGID) for pose in found]).reshape(-1, 4, 4)
+    return np.array([as_rigid(f"{table.where}{column}", pose) for pose in found]).reshape(-1, 4, 4)
 
 
 def _cameras(table: Columns) -> tuple[dict[int, Camera], dict[int, Array]]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
-from fgrecon.core.checks import as_rigid
+from fgrecon.core.checks import RIGID, as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, quaternion_pose
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
@@ -29,7 +29,6 @@ Array = NDArray[np.float64]
 _LISTS = "trainval-*-*.json"  # of frames, sequences and drives; full or mini
 _LIDAR = "velodyne"
 _FARTHEST = 0.06  # seconds from an image to its sweep: both come ten times a second
-_RIGID = 1e-3  # by so much a rotation may fail to be one: text of some digits does
 _SIZES = "size_3d_length", "size_3d_width", "size_3d_height"
 _CARS = {"Vehicle_Car": "Car", "Vehicle_Van": "Van"}
 _OCCLUSION = {"None": 0, "Light": 1, "Medium": 1, "Heavy": 2, "VeryHeavy": 2}
@@ -122,8 +121,7 @@ def _calibration(path: Path) -> tuple[Camera, Array, Array]:
     """The camera, its pose and that of the LiDAR in the vehicle's frame."""
     found = Fields(Fields(read_json(path), f"{path}: ").get("FC", dict), f"{path}: FC.")
     mounts = [
-        as_rigid(f"{found.where}{name}", found.numbers(name, (4, 4)), _RIGID)
-        for name in ("extrinsics", "lidar_extrinsics")
+        as_rigid(f"{found.where}{name}", found.numbers(name, (4, 4))) for name in ("extrinsics", "lidar_extrinsics")
     ]
     rows = found.get("intrinsics", list)
     columns = len(rows[0]) if rows and isinstance(rows[0], list) else 3
@@ -141,7 +139,7 @@ def _poses(path: Path) -> CameraPoses:
     times = fields.numbers("timestamps", (len(fields.get("timestamps", list)),))
     poses = fields.numbers("poses", (len(times), 4, 4))
     order = np.argsort(times, kind="stable").tolist()
-    checked = tuple(as_rigid(f"{path}: poses[{i}]", poses[i], _RIGID) for i in order)
+    checked = tuple(as_rigid(f"{path}: poses[{i}]", poses[i]) for i in order)
     return CameraPoses({}, tuple(times[order].tolist()), checked)
 
 
@@ -156,7 +154,7 @@ def _boxes(path: Path, world_T_lidar: Array, cameras: tuple[str, ...]) -> tuple[
         if "location_3d" not in about:
             continue
         turn = np.array([about.numbers(f"orientation_3d_q{part}", ()) for part in "wxyz"])
-        if not abs(float(np.linalg.norm(turn)) - 1.0) < _RIGID:
+        if not abs(float(np.linalg.norm(turn)) - 1.0) < RIGID:
             raise InvalidInputError(f"{about.where}orientation_3d_qw", turn.tolist(), "Give a unit quaternion.")
         size = np.array([about.numbers(part, ()) for part in _SIZES])
         if not (size > 0.0).all():

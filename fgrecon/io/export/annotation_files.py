@@ -25,12 +25,20 @@ from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.lens import OPENCV
-from fgrecon.io.export.image_info import ImageInfo, by_image, image_box, info_of, keypoint_names, score, track_of
+from fgrecon.io.export.image_info import (
+    VISIBLE,
+    ImageInfo,
+    by_image,
+    image_box,
+    info_of,
+    keypoint_names,
+    score,
+    track_of,
+)
 from fgrecon.io.export.results import NamedResult
 
 Array = NDArray[np.float64]
 
-_VISIBLE = 0.5
 _CVAT_CORNERS = ("tl1", "bl1", "tr1", "br1", "tl2", "bl2", "tr2", "br2")
 _CVAT_ORDER = (7, 5, 6, 4, 3, 1, 2, 0)
 """Of `box_corners` (rear before front, bottom before top, right before left); left and right are the vehicle's."""
@@ -195,7 +203,7 @@ def _intrinsics(items: Sequence[NamedResult]) -> dict[str, Any] | None:
 
 def keypoints_of(item: NamedResult) -> list[tuple[str, Array, bool]]:
     """Names, pixels and whether they are probably seen, of the keypoints."""
-    visible = (item.result.diagnostics.visibility >= _VISIBLE).tolist()
+    visible = (item.result.diagnostics.visibility >= VISIBLE).tolist()
     return list(zip(keypoint_names(item), item.result.pose.wireframe_uv, visible, strict=True))
 
 

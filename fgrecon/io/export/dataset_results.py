@@ -15,9 +15,8 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.export.image_info import ImageInfo, by_image, image_box, info_of, score
 from fgrecon.io.export.results import NamedResult
-from fgrecon.io.kitti_files import Objects, format_results
+from fgrecon.io.kitti_files import UNKNOWN, Objects, format_results
 
-_UNKNOWN = -1.0  # KITTI's mark
 _KITTI_KINDS = {kind.lower(): kind for kind in ("Car", "Van", "Truck", "Tram", "Misc")}
 _COCO_CATEGORY = 1
 _VISIBLE_PROBABILITY = 0.5  # keypoints above it have COCO's flag of visible ones
@@ -60,7 +59,7 @@ def _row(item: NamedResult) -> list[float]:
     length, width, height = result.box_size
     yaw = result.rotation_y
     alpha = float(wrap_angle(yaw - np.arctan2(x, z)))
-    return [_UNKNOWN, _UNKNOWN, alpha, *image_box(item), height, width, length, x, y, z, yaw, score(item)]
+    return [UNKNOWN, UNKNOWN, alpha, *image_box(item), height, width, length, x, y, z, yaw, score(item)]
 
 
 def coco_results_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:

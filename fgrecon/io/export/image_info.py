@@ -23,8 +23,7 @@ from fgrecon.io.json_fields import Fields, read_json
 EVERY = "*"
 """Name of what holds for every image that is not named."""
 
-_VISIBLE = 0.5
-_RIGID = 1e-3  # by so much a rotation may fail to be one: text of some digits does
+VISIBLE = 0.5
 Array = NDArray[np.float64]
 
 
@@ -119,7 +118,7 @@ def _info(fields: Fields) -> ImageInfo:
     if number is not None and not (isinstance(number, int | str) and not isinstance(number, bool)):
         raise InvalidInputError(f"{fields.where}image_id", number, "Give an integer or a text.")
     known: dict[str, Any] = {
-        name: as_rigid(f"{fields.where}{name}", fields.numbers(name, (4, 4)), _RIGID)
+        name: as_rigid(f"{fields.where}{name}", fields.numbers(name, (4, 4)))
         for name in ("world_T_camera", "world_T_vehicle")
         if name in fields
     }
@@ -170,7 +169,7 @@ def score(item: NamedResult) -> float:
     """Its detector's; else the mean weight of the keypoints that the pose shows: how much was found in its place."""
     if item.score is not None:
         return item.score
-    visible = item.result.diagnostics.visibility >= _VISIBLE
+    visible = item.result.diagnostics.visibility >= VISIBLE
     return float(item.result.diagnostics.weights[visible].mean()) if visible.any() else 0.0
 
 

@@ -22,6 +22,7 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.text import distinct, whole_text
 from fgrecon.core.vehicle_mesh import SURFACE
+from fgrecon.io.bag import NANO
 from fgrecon.io.export.image_info import (
     EVERY,
     ImageInfo,
@@ -38,8 +39,7 @@ from fgrecon.io.export.results import NamedResult
 from fgrecon.io.export.upright import CAMERA, MAP, WORLD, FrameTransform, transforms
 
 _PERIOD = 0.1  # seconds between images whose times are not known
-_NANO = 1_000_000_000
-_MCAP_SECONDS = 2**64 // _NANO  # its times are 64 bits of nanoseconds
+_MCAP_SECONDS = 2**64 // NANO  # its times are 64 bits of nanoseconds
 _ROS_SECONDS = 2**31  # `builtin_interfaces/Time` has 31 bits of seconds
 _LINE_LIST = 2  # pairs of points
 _CAR = "car"
@@ -176,7 +176,7 @@ def _moments(results: Sequence[NamedResult], images: Mapping[str, ImageInfo], be
             fix = f"Give seconds, from 0 to less than {below}, by a file of images (`images`, --images)."
             raise InvalidInputError(f"images.{image or EVERY}.timestamp", seconds, fix)
         if info.bag is None:
-            moments.append(_Moment(round(seconds * _NANO), info, items))
+            moments.append(_Moment(round(seconds * NANO), info, items))
         else:
             moments.append(_Moment(info.bag.stamp, replace(info, world_T_camera=info.bag.frame_T_camera), items))
     yield from sorted(moments, key=lambda moment: moment.time)
@@ -213,7 +213,7 @@ def _stamped(one: FrameTransform, time: int) -> dict[str, Any]:
 
 
 def _time(nanoseconds: int, rest: str) -> dict[str, int]:
-    return {"sec": nanoseconds // _NANO, rest: nanoseconds % _NANO}
+    return {"sec": nanoseconds // NANO, rest: nanoseconds % NANO}
 
 
 def _pose(info: ImageInfo, camera_T_object: Array, size: Array) -> dict[str, Any]:

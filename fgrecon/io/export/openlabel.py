@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from fgrecon.io.export.image_info import (
+    VISIBLE,
     ImageInfo,
     box_in,
     by_image,
@@ -26,7 +27,6 @@ from fgrecon.io.export.image_info import (
 )
 from fgrecon.io.export.results import NamedResult
 
-_VISIBLE = 0.5
 _KEY = re.compile(r"-?[0-9]+|[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12}")
 WORLD, CAMERA = "world", "camera"
 
@@ -91,7 +91,7 @@ def _data(item: NamedResult, info: ImageInfo) -> dict[str, Any]:
     low, high = np.split(image_box(item), 2)
     system = WORLD if info.world_T_camera is not None else CAMERA
     cuboid = [*centre.tolist(), *quaternion(axes), *result.box_size.tolist()]
-    visible = result.diagnostics.visibility >= _VISIBLE
+    visible = result.diagnostics.visibility >= VISIBLE
     points = [
         {
             "name": name,

@@ -73,7 +73,7 @@ def _found(settings: Mapping[str, Any]) -> ShapePrior | None:
 
 _ONE = (FORMAT, COMPACT)
 _MANY = ("fgrecon.reconstructions/2", "fgrecon.track/2", "fgrecon.reconstructions/1", "fgrecon.track/1")
-_DEMO = "fgrecon.demo/1"
+DEMO_FORMAT = "fgrecon.demo/1"
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def read_results(path: str | Path, prior: ShapePrior | str | Path | None = None)
             result = Reconstruction.from_dict(data)
             surfaces = Surfaces({"prior": result.shape.prior}, given)
             return [NamedResult(Path(path).stem, surfaces.complete(result))]
-        if kind == _DEMO:
+        if kind == DEMO_FORMAT:
             return [NamedResult("demo", Reconstruction.from_dict(data["result"]))]
         if kind in _MANY:
             settings = data.get("settings", {"prior": None})

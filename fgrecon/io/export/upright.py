@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
+from fgrecon.core.geometry import UPRIGHT
 
 MAP, WORLD, CAMERA = "map", "world", "camera"
 """Names of the frames."""
 
-_UPRIGHT = np.cos(np.radians(30.0))  # the cosine to which a world's z axis points up: a mounted camera leans by less
 
 Array = NDArray[np.float64]
 
@@ -76,6 +76,6 @@ def _map_T_world(world_T_camera: Array, ground: Ground | None) -> Array:
     """(4, 4) the world's pose, by a camera in it."""
     upright = map_T_camera(ground)
     up = world_T_camera[:3, :3] @ upright[2, :3]
-    if up[2] > _UPRIGHT:
+    if up[2] > UPRIGHT:
         return np.eye(4)
     return upright @ np.linalg.inv(world_T_camera)

@@ -17,7 +17,7 @@ from fgrecon.io.export.results import NamedResult, ground_of
 from fgrecon.io.json_fields import parse_json
 
 _FILE = "frames.jsonl"
-_FORMAT = "fgrecon.video-frame/1"
+FRAME_FORMAT = "fgrecon.video-frame/1"
 _OF_IMAGES = frozenset(
     [
         *(
@@ -97,7 +97,7 @@ def read_video_frames(
 
 
 def _add(frame: Any, results: list[NamedResult], infos: dict[str, ImageInfo]) -> None:
-    if frame["format"] != _FORMAT:
+    if frame["format"] != FRAME_FORMAT:
         raise ValueError(f"format {frame['format']}")
     image, pose = str(frame["name"]), frame["world_T_camera"]
     placed = None if pose is None else as_finite("world_T_camera", pose, (4, 4))

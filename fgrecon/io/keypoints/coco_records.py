@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
+from fgrecon.core.text import one_word
 from fgrecon.io.json_fields import Fields, plain_id
 from fgrecon.io.keypoints.names import Names, order_of
 from fgrecon.io.lens_fields import read_size
@@ -141,7 +142,7 @@ def _kinds(top: Fields) -> dict[_Id, _Kind]:
         if not all(isinstance(name, str) for name in names) or len(set(names)) != len(names):
             raise InvalidInputError(f"{kind.where}keypoints", names, "Give a list of distinct names.")
         if names or "id" in kind:
-            kinds[_key(kind, "id")] = _Kind("_".join(str(kind.data.get("name") or "").split()), tuple(names))
+            kinds[_key(kind, "id")] = _Kind(one_word(kind.data.get("name") or ""), tuple(names))
     if not any(kind.keypoints for kind in kinds.values()):
         fix = "Give a file whose categories name their keypoints."
         raise InvalidInputError(f"{top.where}categories", "no keypoint names", fix)

@@ -21,6 +21,7 @@ from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
+from fgrecon.core.text import one_word
 from fgrecon.io.json_fields import Fields, numbers, plain_id
 
 Record = dict[str, Any]
@@ -88,7 +89,7 @@ def _openlabel(fields: Fields) -> Records:
             data = Fields(Fields(item or {}, place).data.get("object_data") or {}, f"{place}object_data.")
             points = dict(_openlabel_point(one, data.where) for one in data.data.get("point2d") or ())
             kind = Fields(objects.get(key) or {}, place).data.get("type") or "Car"
-            record: Record = {"id": f"{number}:{key}" if number else key, "keypoints": points, "kind": _word(kind)}
+            record: Record = {"id": f"{number}:{key}" if number else key, "keypoints": points, "kind": one_word(kind)}
             for one in (data.data.get("bbox") or ())[:1]:
                 u, v, width, height = Fields(one, f"{data.where}bbox.").numbers("val", (4,)).tolist()
                 record["box"] = [u - width / 2, v - height / 2, u + width / 2, v + height / 2]
@@ -119,7 +120,7 @@ def _scalabel(fields: Fields) -> Records:
                 ]
                 for node in nodes
             }
-            record["kind"] = _word(label.data.get("category") or "Car")
+            record["kind"] = one_word(label.data.get("category") or "Car")
             if label.data.get("box2d") is not None:
                 box = Fields(label.get("box2d", dict), f"{label.where}box2d.")
                 record["box"] = [float(box.numbers(name, ())) for name in ("x1", "y1", "x2", "y2")]
@@ -146,7 +147,7 @@ def _supervisely(fields: Fields) -> Records:
                 points = Fields(figure.get("points", dict), f"{figure.where}points.")
                 low, high = points.numbers("exterior", (2, 2))
                 record["box"] = [*map(min, low, high), *map(max, low, high)]
-            record["kind"] = _word(figure.data.get("classTitle") or "Car")
+            record["kind"] = one_word(figure.data.get("classTitle") or "Car")
         return record
 
     yield from _each(found, made, fields.where)
@@ -174,7 +175,7 @@ def _datumaro(fields: Fields) -> Records:
                     x, y, width, height = one.numbers("bbox", (4,)).tolist()
                     record["box"] = [x, y, x + width, y + height]
                 if isinstance(label, int) and 0 <= label < len(labels):
-                    record["kind"] = _word(labels[label])
+                    record["kind"] = one_word(labels[label])
             return record
 
         yield from _each(groups, made, entry.where)
@@ -210,7 +211,7 @@ def _fiftyone(fields: Fields) -> Records:
             about = _object(sample, "metadata")
             size = [about.whole(side, 1) for side in ("width", "height")]
             kind = labels["Keypoints"].data.get("label") or "Car"
-            record: Record = {"id": f"{image}:{key}", "image": image, "kind": _word(kind)}
+            record: Record = {"id": f"{image}:{key}", "image": image, "kind": one_word(kind)}
             record["keypoints"] = _fiftyone_points(labels["Keypoints"], size)
             if "Detections" in labels:
                 x, y, width, height = labels["Detections"].numbers("bounding_box", (4,)).tolist()
@@ -235,7 +236,3 @@ def _fiftyone_points(label: Fields, size: list[int]) -> dict[str, list[float]]:
         u, v = numbers(point, (2,), f"{label.where}points[{at}]").tolist()
         found[str(name)] = [u * size[0], v * size[1], float(numbers(sure, (), f"{label.where}confidence[{at}]"))]
     return found
-
-
-def _word(kind: Any) -> str:
-    return "_".join(str(kind).split())

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.text import one_word
 from fgrecon.io.json_fields import Fields, numbers
 from fgrecon.io.keypoints.names import Names, order_of
 from fgrecon.io.keypoints.network_results import PROBABLE
@@ -127,7 +128,7 @@ def _said(fields: Fields, kind: str, score: str) -> Record:
     """Class and score, as far as they are there."""
     found: Record = {}
     if kind and kind in fields:
-        found["kind"] = "_".join(str(fields.data[kind]).split())
+        found["kind"] = one_word(fields.data[kind])
     if score in fields:
         found["score"] = float(fields.numbers(score, ()))
     return found

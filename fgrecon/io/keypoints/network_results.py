@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.checks import array_of
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.text import one_word
 from fgrecon.io.keypoints.names import Names, order_of
 
 Array = NDArray[np.float64]
@@ -205,7 +206,7 @@ def _records(found: _Found, category: Category, names: Names | None) -> _Records
         if found.tracks is not None and np.isfinite(found.tracks[number]):
             record["track"] = int(found.tracks[number])
         if found.kinds is not None:
-            record["kind"] = "_".join(found.kinds[number].split())
+            record["kind"] = one_word(found.kinds[number])
         yield record, f"{field}[{number}]: "
 
 

@@ -15,18 +15,18 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
+from fgrecon.core.text import one_word
 from fgrecon.io.json_fields import Fields, plain_id
-from fgrecon.io.keypoints.label_records import label_reader
+from fgrecon.io.keypoints.label_records import Records, label_reader
 
 Record = dict[str, Any]
-_Records = Iterator[tuple[Record | InvalidInputError, str]]
 _HUNDRED = 100.0  # Label Studio's unit is a hundredth of the image
 
 
@@ -41,7 +41,7 @@ def _is_task(item: Any) -> bool:
     return isinstance(item, Mapping) and isinstance(item.get("annotations"), list) and "data" in item
 
 
-def tool_records(data: Any, where: str) -> _Records:
+def tool_records(data: Any, where: str) -> Records:
     """The vehicles of `is_tool_file`'s content in the layout of a keypoint file; one that is malformed is its error.
 
     Args:
@@ -56,7 +56,7 @@ def tool_records(data: Any, where: str) -> _Records:
     return _label_studio(data, where)
 
 
-def _label_studio(tasks: Sequence[Any], where: str) -> _Records:
+def _label_studio(tasks: Sequence[Any], where: str) -> Records:
     for number, task in enumerate(tasks):
         shown = Fields(task["data"], f"{where}[{number}].data.").data
         image = next((value for value in shown.values() if isinstance(value, str)), None)
@@ -109,7 +109,7 @@ def _of_region(items: Sequence[Any], where: str) -> Record:
         )
         corners = [(x + i * across[0] + j * down[0], y + i * across[1] + j * down[1]) for i in (0, 1) for j in (0, 1)]
         us, vs = zip(*corners, strict=True)
-        record |= {"box": [min(us), min(vs), max(us), max(vs)], "kind": "_".join(label.split())}
+        record |= {"box": [min(us), min(vs), max(us), max(vs)], "kind": one_word(label)}
     return record
 
 
@@ -120,7 +120,7 @@ def _first(value: Fields, name: str) -> str:
     return str(labels[0])
 
 
-def _labelme(fields: Fields) -> _Records:
+def _labelme(fields: Fields) -> Records:
     groups: dict[Any, list[Fields]] = defaultdict(list)
     for number, item in enumerate(fields.get("shapes", list)):
         shape = Fields(item, f"{fields.where}shapes[{number}].")
@@ -138,7 +138,7 @@ def _labelme(fields: Fields) -> _Records:
                 elif kind == "rectangle":
                     low, high = shape.numbers("points", (2, 2))
                     record["box"] = [*map(min, low, high), *map(max, low, high)]
-                    record["kind"] = "_".join(shape.get("label", str).split())
+                    record["kind"] = one_word(shape.get("label", str))
         except InvalidInputError as error:
             yield error, fields.where
             continue
@@ -146,7 +146,7 @@ def _labelme(fields: Fields) -> _Records:
             yield record, fields.where
 
 
-def cvat_records(path: Path) -> _Records:
+def cvat_records(path: Path) -> Records:
     """The vehicles of CVAT's XML for images, as `tool_records` gives them.
 
     Raises:
@@ -177,7 +177,7 @@ def _take(shape: ET.Element, number: int, found: dict[str, Record], where: str) 
     group = shape.get("group_id")
     if shape.tag == "skeleton":
         record = found.setdefault(f"skeleton{number}" if group is None else group, {"keypoints": {}})
-        record["kind"] = "_".join(shape.get("label", "").split())
+        record["kind"] = one_word(shape.get("label", ""))
         for point in shape.iter("points"):
             _point(point, record, where)
     elif shape.tag == "points":

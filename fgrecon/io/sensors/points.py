@@ -45,8 +45,6 @@ def lidar_place(cloud: Path, image: Path, camera: CameraSource, pose: Path | Non
 
 Array = NDArray[np.float64]
 
-_RIGID = 1e-3  # by so much an element of R R^T may be off: calibrations have few digits
-
 
 def read_points(path: str | Path, camera_T_points: ArrayLike | KittiCalibration | None = None) -> Array:
     """(N, 3) points of a file in the camera's frame (x right, y down, z forward), metres.
@@ -75,7 +73,7 @@ def _motion(path: Path, frame: PointFrame, given: ArrayLike | KittiCalibration |
             raise InvalidInputError("calib", f"no LiDAR, for {path.name}", fix)
         return known.get(frame)
     if given is not None:
-        return as_rigid("camera_T_points", given, _RIGID)
+        return as_rigid("camera_T_points", given)
     if frame is not PointFrame.UNKNOWN:
         fix = "Give where that is: KITTI's calibration, nuScenes' tables, or camera_T_points (4, 4)."
         raise InvalidInputError("camera_T_points", f"none, for {path.name} in the frame of {frame.value}", fix)

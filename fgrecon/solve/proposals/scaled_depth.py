@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 
 from factors.surface_points import Shared
 from fgrecon.core.depth_map import DepthCalibration, DepthMap
+from fgrecon.solve.proposals.search_settings import SETTINGS
 
 Array = NDArray[np.float64]
-
-_EXACT = 1e-6
-"""Standard deviation of a variable that is known: a graph needs some."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,4 +64,4 @@ def scaled_depth(given: DepthMap) -> ScaledDepth:
         shared = Shared.INVERSE
     else:
         shared = Shared.NONE if not covariance.any() else Shared.INVERSE if given.inverse else Shared.DEPTH
-    return ScaledDepth(given, calibration, shared, covariance + _EXACT**2 * np.eye(2))
+    return ScaledDepth(given, calibration, shared, covariance + SETTINGS.points.known_variable_sigma**2 * np.eye(2))

@@ -128,6 +128,8 @@ class PointSettings:
     """Of the points of one of two vehicles: where so many are in the other's 3D box, both are in one place."""
     claimed_margin_m: float = 0.1
     """Around that box."""
+    known_variable_sigma: float = 1e-6
+    """Standard deviation of a scale, a shift or a sensor's place that is known: a graph needs some."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.evidence import Points
+from fgrecon.solve.proposals.search_settings import SETTINGS
 
 Array = NDArray[np.float64]
 
@@ -35,13 +36,9 @@ class UnsurePlace:
     def covariance(self) -> Array:
         """(6, 6) of the variables."""
         turn, shift = self.sigma
-        return np.diag([*3 * (turn**2,), *3 * (shift**2,)]) + _EXACT**2 * np.eye(6)
+        return np.diag([*3 * (turn**2,), *3 * (shift**2,)]) + SETTINGS.points.known_variable_sigma**2 * np.eye(6)
 
     def off(self, points: Array) -> Array:
         """(M,) by how much points (M, 3) may be off by it, metres."""
         turn, shift = self.sigma
         return np.asarray(np.hypot(turn * np.linalg.norm(points, axis=1), shift))
-
-
-_EXACT = 1e-6
-"""Standard deviation of a variable that is known: a graph needs some."""

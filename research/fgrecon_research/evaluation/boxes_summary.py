@@ -29,7 +29,7 @@ from fgrecon_research.evaluation.text_table import TextTable, number_or_dash
 LEAST_OVERLAPS = (0.5, 0.7)
 """Overlaps from which on a box counts as right."""
 
-_DISTANCES = (0.0, 15.0, 30.0, np.inf)  # metres
+DISTANCES = (0.0, 15.0, 30.0, np.inf)  # metres
 _UNKNOWN = 3  # KITTI's grade of occlusion
 
 
@@ -75,7 +75,7 @@ def summarise(vehicles: Sequence[LabelledBox]) -> dict[str, OverlapSummary]:
 def by_distance(name: str, vehicles: Sequence[LabelledBox]) -> dict[str, list[LabelledBox]]:
     """Vehicles by the distance of their labels, under a name and the metres."""
     bands = {}
-    for low, high in pairwise(_DISTANCES):
+    for low, high in pairwise(DISTANCES):
         place = f"{low:.0f}-{high:.0f} m" if np.isfinite(high) else f"beyond {low:.0f} m"
         bands[f"{name} {place}"] = [one for one in vehicles if low <= one.distance < high]
     return bands

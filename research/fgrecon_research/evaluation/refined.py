@@ -28,12 +28,12 @@ from fgrecon.io.run_settings import RunSettings
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
 from fgrecon.simulation.sample import disturbed_boxes
+from fgrecon_research.evaluation.boxes_summary import DISTANCES
 
 Array = NDArray[np.float64]
 
 _OVERLAP = 0.5  # in the image, above which a box is a labelled vehicle's
 _WORSE = 5.0  # percent of the distance
-_DISTANCES = (0.0, 15.0, 30.0, np.inf)  # metres
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def compare(vehicles: Sequence[RefinedVehicle]) -> dict[str, Comparison]:
     groups["all"] = list(vehicles)
     for one in vehicles:
         groups[one.drive].append(one)
-    for low, high in pairwise(_DISTANCES):
+    for low, high in pairwise(DISTANCES):
         name = f"{low:.0f}-{high:.0f} m" if np.isfinite(high) else f"beyond {low:.0f} m"
         groups[name] = [one for one in vehicles if low <= one.distance < high]
     return {name: _comparison(members) for name, members in groups.items() if members}
