@@ -42,7 +42,7 @@ from fgrecon.solve.graph.graph import Graph, GraphObservation
 from fgrecon.solve.graph.multi_start import MultiStartResult
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 from fgrecon.solve.graph.optimise import Optimum
-from fgrecon.solve.graph.records import graph_factors, iterations
+from fgrecon.solve.graph.records import factors_of, graph_factors, iterations
 from fgrecon.solve.pose_probability import facing_by_energies, with_probabilities
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
@@ -120,9 +120,7 @@ def results(
     weights = optimum.state.weights
     known = marginalise(graph, optimum) if marginalised is None else marginalised
     single, failed = len(parts) == 1, optimum.failure is not None
-    structure: Sequence[GraphFactor] = ()
-    if options.keep_history and single and not failed:
-        structure = Deferred(lambda: graph_factors(graph, weights))
+    values = optimum.values if graph is adjusted.graph else known.values
     found: list[Reconstruction] = []
     shapes: dict[int, Array] = {}
     without: dict[str, gtsam.Marginals | Spread | None] = {}  # what is known without a kind of evidence
@@ -137,9 +135,9 @@ def results(
         points, point_weights = graph.points_of(i)
         gained = {} if uncertainty is None else _gained(graph, i, uncertainty, without)
         diagnostics = {
-            "energies": {} if failed else optimum.energies if single else part.energies(known.values, weights[i]),
+            "energies": {} if failed else optimum.energies if single else graph.energies_of(i, values, weights[i]),
             "history": pose_history(start, adjusted, i, single=single) if options.keep_history else (),
-            "graph": structure,
+            "graph": _structure(graph, i, weights) if options.keep_history and not failed else (),
             "milliseconds": milliseconds,
             "points": points,
             "point_weights": point_weights,
@@ -148,6 +146,13 @@ def results(
         }
         found.append(_result(end, diagnostics))
     return found
+
+
+def _structure(graph: Graph, index: int, weights: Sequence[Weights]) -> Sequence[GraphFactor]:
+    """The factors about an observation, made when they are looked at; none where others show its vehicle as well."""
+    if len(graph.observations) == 1:
+        return Deferred(lambda: graph_factors(graph, weights))
+    return Deferred(lambda: factors_of(graph, index, weights)) if graph.shares_nothing(index) else ()
 
 
 def _gained(

@@ -40,7 +40,7 @@ from fgrecon.solve.box_check import boxes_off, boxes_warning
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.focal import candidates, distinct_lengths, energies_of, focal_prior, log_ratio, starts
 from fgrecon.solve.graph.covariance import covariance_of, undetermined
-from fgrecon.solve.graph.graph import EXTRA, Graph, GraphObservation, State
+from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.multi_start import MultiStartResult, SolvedStage
 from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle_part import fleet_prior, is_any_fleets
@@ -196,7 +196,6 @@ class _JointSolve:
     graph: Graph
     optimum: Optimum
     extra: list[gtsam.NonlinearFactor]
-    own: list[gtsam.NonlinearFactor]  # those of them that are the caller's
     standing: dict[int, ImageGround]
 
     @property
@@ -359,7 +358,7 @@ def _solve_jointly(independent: IndependentSolve, images: _Images, out: Collecti
     optimum = optimise(graph, state, steady=SCENE.joint_visibility_step)
     if optimum.failure is not None:
         return None
-    return _JointSolve(independent, parts, graph, optimum, extra, own, standing)
+    return _JointSolve(independent, parts, graph, optimum, extra, standing)
 
 
 def _standing(solved: dict[int, IndependentVehicle], images: _Images) -> dict[int, ImageGround]:
@@ -416,15 +415,7 @@ def _vehicles(best: _JointSolve, marginalised: Marginalised) -> dict[int, Recons
     found = results(best.parts, begun, adjusted, {}, best.extra, facing=facing, marginalised=marginalised)
     each = dict(zip(solved, found, strict=True))
     for one_ground in best.standing.values():
-        for number, contact in one_ground.contacts.items():
-            diagnostics = each[number].diagnostics
-            energies = {**diagnostics.energies, "ground": float(contact.error(values))}
-            result = replace(each[number], diagnostics=replace(diagnostics, energies=energies))
-            each[number] = weakened(result, one_ground.off_ground(result, solved[number].problem.ground, values))
-    for factor in best.own:
-        for number in _vehicles_of(factor):
-            diagnostics = each[number].diagnostics
-            energy = diagnostics.energies.get(EXTRA, 0.0) + factor.error(values)
-            diagnostics = replace(diagnostics, energies={**diagnostics.energies, EXTRA: energy})
-            each[number] = replace(each[number], diagnostics=diagnostics)
+        for number in one_ground.contacts:
+            off = one_ground.off_ground(each[number], solved[number].problem.ground, values)
+            each[number] = weakened(each[number], off)
     return each

@@ -20,6 +20,7 @@
 | `.../model` | the closest car model, where there were any to compare with | at the result |
 | `scene/previous` | wireframe in the camera frame, faint, after the weight update before | every step |
 | `scene/points` | points of other sensors, colour by weight | at the result |
+| `scene/alternatives` | other poses of at least 1 %: an arrow along the heading, and how probable | at the result |
 | `scene/truth`, `.../box`, `.../keypoints` | true pose, box and keypoints | each frame |
 | `scene/ground` | grid on the ground | once |
 | `graph` | the factor graph: variables and factors; keypoints' factors coloured by weight | every step |
@@ -99,6 +100,7 @@ MODEL = "scene/vehicle/model"
 VEHICLE_BOX = "scene/vehicle/box"
 POINTS_2D = "scene/camera/points"
 POINTS_3D = "scene/points"
+ALTERNATIVES = "scene/alternatives"
 UNCERTAINTY = "scene/vehicle/uncertainty"
 PREVIOUS_3D = "scene/previous"
 TRUTH_3D = "scene/truth"

@@ -15,6 +15,8 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
+from fgrecon.core.geometry import transform
+from fgrecon.core.history import Alternative
 from fgrecon.core.vehicle_mesh import SIDE_COLOURS, SURFACE
 from fgrecon.viz import entities, style
 from fgrecon.viz.blueprint import vehicle_blueprint
@@ -22,6 +24,7 @@ from fgrecon.viz.columns import Outbox, fixed_columns, strip_columns
 from fgrecon.viz.factor_graph import log_graph
 from fgrecon.viz.geometry import (
     BOX_EDGES,
+    NOSE,
     ellipsoids,
     face_outlines,
     fan,
@@ -43,6 +46,7 @@ _PLANE_ALPHA = 40
 _FAINT = 90
 _IMAGE_PLANE = 0.15  # distance of the drawn image plane from the camera, relative to the vehicle's distance
 _FARTHEST_PLANE = 1.5  # metres
+_LEAST_PROBABILITY = 0.01  # of other poses that are drawn
 _LINE = 1.25  # half width of the lines that matter; negative radii are in points of the screen
 
 
@@ -238,10 +242,22 @@ def log_result(play: Playback) -> None:
         _log_mesh(play, entities.SURFACE, result.shape.surface_vertices, result.shape.surface_faces, colour)
     if len(result.diagnostics.points):
         _log_points(play)
+    if others := [one for one in result.uncertainty.alternatives if not one.probability < _LEAST_PROBABILITY]:
+        _log_alternatives(play, others)
     if result.uncertainty.keypoint_covariance is not None:
         log_ellipsoids(
             play, entities.UNCERTAINTY, result.wireframe, result.uncertainty.keypoint_covariance, line_radii=-0.5
         )
+
+
+def _log_alternatives(play: Playback, others: Sequence[Alternative]) -> None:
+    """Where other poses are and which way they face, with how probable they are; their sizes are not known here."""
+    nose = np.array([(0.0, 0.0, 0.0), (play.vehicle.reconstruction.box_size[0] / 2 + NOSE, 0.0, 0.0)])
+    ends = np.array([transform(one.camera_T_object, nose) for one in others])
+    words = [f"{100 * one.probability:.0f} %" if np.isfinite(one.probability) else "?" for one in others]
+    play.once(entities.ALTERNATIVES, rr.Arrows3D, colors=style.ALTERNATIVE, radii=-1.5, show_labels=True)
+    arrows = rr.Arrows3D.columns(origins=ends[:, 0], vectors=ends[:, 1] - ends[:, 0], labels=words)
+    play.at_result(entities.ALTERNATIVES, arrows.partition([len(others)]))
 
 
 def _log_points(play: Playback) -> None:

@@ -31,6 +31,8 @@ BACKGROUND: Colour = (244, 244, 242)
 SCREEN_BACKGROUND: Colour = (72, 72, 76)
 """Images and scenes of a recording have it in light viewers and in dark ones: dark enough for light lines, light enough
 for keypoints of no weight."""
+ALTERNATIVE: Colour = (240, 150, 50)
+"""Other poses in a recording: orange."""
 MODEL: Colour = (222, 184, 120)
 """The closest car model in a recording."""
 INK: Colour = (34, 34, 34)

@@ -199,3 +199,22 @@ def test_vehicles_of_other_images_do_not_say_which_way_one_faces():
     for number, one in enumerate(seen):
         np.testing.assert_array_equal(apart.vehicles[number].problem.observation.azimuth, one.azimuth)
     assert not np.allclose(together.vehicles[0].problem.observation.azimuth, seen[0].azimuth)
+
+
+@pytest.mark.parametrize("kernel", ["compiled", "numpy"])
+def test_each_vehicle_has_all_its_terms_and_its_factors(kernel, monkeypatch):
+    """As one alone; what ties it to the ground is the term `ground`."""
+    if kernel == "numpy":
+        monkeypatch.setenv("FGRECON_KERNEL", "numpy")
+    _, seen = street(1, count=2)
+    scene = reconstruct_scene(seen, CAMERA, ground=1.65, size_prior="kitti")
+    for number, (one, vehicle) in enumerate(zip(seen, scene.vehicles, strict=True)):
+        alone = fgrecon.reconstruct(one, CAMERA, ground=1.65, size_prior="kitti").diagnostics
+        found = vehicle.diagnostics
+        assert set(found.energies) == set(alone.energies)
+        assert found.history[-1].energies == pytest.approx(found.energies)
+        assert {"pose", "joint", "scene"} <= {step.stage for step in found.history}
+        variables = {name for factor in found.graph for name in factor.variables}
+        assert variables == {f"X(v={number},t=0)", f"L(v={number})", f"O(v={number})", f"M(v={number})", "G(t=0)"}
+        keypoints = [[one.label for one in graph if one.term == "reprojection"] for graph in (found.graph, alone.graph)]
+        assert keypoints[0] == keypoints[1]

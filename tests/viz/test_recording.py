@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
+from fgrecon.core.reconstruction import Alternative, Iteration, Reconstruction, Status
 from fgrecon.viz import SolvedVehicle, entities, recording_of, replay, style
 from fgrecon.viz.replay import _read
 from tests.results import changed
@@ -347,3 +347,19 @@ def test_importing_loads_no_viewer() -> None:
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "set()"
+
+
+def test_other_poses_that_may_be_are_arrows_along_their_headings(example: Example, tmp_path: Path) -> None:
+    turned, away = np.eye(4), np.eye(4)
+    turned[:3, 3], away[:3, 3] = (1.0, 1.65, 9.0), (1.0, 1.65, 90.0)
+    lambdas = example.reconstruction.shape.coefficients
+    others = Alternative(turned, lambdas, 1.0, 0.25), Alternative(away, lambdas, 9.0, 0.001)
+    result = changed(example.reconstruction, alternatives=others)
+    path = recording_of(SolvedVehicle(result, example.observation, example.camera)).write(tmp_path / "car.rrd")
+    (drawn,) = (chunk for chunk in chunks(path)[entities.ALTERNATIVES] if not chunk.is_static)
+    columns = drawn.to_record_batch().to_pydict()
+    assert columns["Arrows3D:labels"] == [["25 %"]]
+    np.testing.assert_allclose(columns["Arrows3D:origins"], [[turned[:3, 3]]])
+    ((ahead,),) = np.array(columns["Arrows3D:vectors"])
+    assert ahead[0] > result.box_size[0] / 2
+    np.testing.assert_allclose(ahead[1:], 0.0)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from factors import check_in_front
 from factors.guard import CompiledFactor
-from factors.keys import F, S, key_name
+from factors.keys import F, S, decode_key, key_name
 from factors.mixture import Form
 from factors.sensed import SensedFactor
 from factors.surface_points import SurfacePointsFactor
@@ -36,7 +36,7 @@ __all__ = ["EXTRA", "Graph", "GraphObservation", "State", "Terms", "common_share
 
 Array = NDArray[np.float64]
 
-EXTRA = "extra"
+EXTRA, GROUND = "extra", "ground"
 """Energy term of the caller's own factors."""
 
 
@@ -395,6 +395,39 @@ class Graph:
         if self.extra:
             energies[EXTRA] = sum(factor.error(values) for factor in self.extra)
         return energies
+
+    def shares_nothing(self, index: int) -> bool:
+        """Whether no other observation shows the vehicle of one."""
+        return not self._more[self.observations[index].vehicle.number]
+
+    def energies_of(self, index: int, values: gtsam.Values, weights: Weights) -> dict[str, float]:
+        """Energy of each term about one observation, nats: also about its vehicle, where no other one shows that.
+
+        Extra factors that tie it to the ground are the term `ground`; what ties two vehicles is told of both.
+        """
+        part = self.observations[index]
+        energies = dict(part.energies(values, weights))
+        if not self.shares_nothing(index):
+            return energies
+        energies |= part.vehicle.energies(values)
+        for one in (one for one, by in zip(self.sensed, self._sensed_by, strict=True) if by == index):
+            energies[one.name] = energies.get(one.name, 0.0) + one.energy(values)
+        own = [self._extra_by_key.get(key, set()) for key in (part.pose_key, *part.vehicle.keys) if key is not None]
+        for number in sorted(set[int]().union(*own)):
+            factor = self.extra[number]
+            letters = [decode_key(key).letter for key in list(factor.keys())]
+            name = GROUND if "G" in letters else EXTRA
+            energies[name] = energies.get(name, 0.0) + factor.error(values)
+        return energies
+
+    @cached_property
+    def _extra_by_key(self) -> dict[int, set[int]]:
+        """The numbers of the extra factors on each variable."""
+        found: dict[int, set[int]] = {}
+        for number, factor in enumerate(self.extra):
+            for key in list(factor.keys()):
+                found.setdefault(key, set()).add(number)
+        return found
 
     def energies(self, values: gtsam.Values, weights: Sequence[Weights]) -> dict[str, float]:
         """Energy of each term over everything, nats; see `ObservationPart.energies`."""

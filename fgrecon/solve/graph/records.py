@@ -16,8 +16,17 @@ from fgrecon.solve.graph.multi_start import SolvedStage
 from fgrecon.solve.graph.newton import Step
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 
-_OVER_TIME = {"V": "velocity", "VV": "velocity change", "XVX": "motion"}
+_BY_LETTERS = {"V": "velocity", "VV": "velocity change", "XVX": "motion", "XG": "contact"}
 """What extra factors on these variables are about."""
+
+
+def factors_of(graph: Graph, index: int, weights: Sequence[Weights]) -> tuple[GraphFactor, ...]:
+    """The factors about the only observation of a vehicle, keypoint by keypoint; see `graph_factors`."""
+    part = graph.observations[index]
+    own = {key_name(key) for key in (part.pose_key, *part.vehicle.keys) if key is not None}
+    others = [one for one in graph_factors(graph, weights) if one.term != "reprojection"]
+    keypoints = _keypoints(part, weights[index], each=True)
+    return (*keypoints, *(one for one in others if not own.isdisjoint(one.variables)))
 
 
 def graph_factors(graph: Graph, weights: Sequence[Weights]) -> tuple[GraphFactor, ...]:
@@ -60,7 +69,7 @@ def _record(term: str, factor: gtsam.NonlinearFactor, faces: tuple[str, ...]) ->
     if term == "ground":
         label = "height" if factor.dim() == 1 else "upright"
     if term == EXTRA:
-        label = _OVER_TIME.get("".join(key.letter for key in decoded), "")
+        label = _BY_LETTERS.get("".join(key.letter for key in decoded), "")
     return GraphFactor(term, label, tuple(key_name(key) for key in keys))
 
 
@@ -78,7 +87,7 @@ def iterations(stages: Sequence[SolvedStage], index: int, *, alone: bool) -> tup
 
 def _iteration(name: str, graph: Graph, step: Step, index: int, *, alone: bool) -> Iteration:
     part, weights, values = graph.observations[index], step.weights[index], step.values
-    energies = part.energies(values, weights)
+    energies = part.energies(values, weights) | graph.own_energies(values) if alone else None
     return Iteration(
         stage=name,
         irls=step.update,
@@ -88,7 +97,7 @@ def _iteration(name: str, graph: Graph, step: Step, index: int, *, alone: bool) 
         keypoints=part.vehicle.shape.points(values),
         projections=part.projections(values),
         weights=weights.keypoints,
-        energies=energies | graph.own_energies(values) if alone else energies,
+        energies=graph.energies_of(index, values, weights) if energies is None else energies,
     )
 
 
