@@ -1,5 +1,7 @@
 """Boxes from what detectors and trackers return in Python: class, score and id are kept. None of them is imported.
 
+Ids that are no numbers, as motpy's, become the CRC 32 of their text.
+
 | object | known by | numbers of classes |
 |---|---|---|
 | `supervision.Detections` | `xyxy`, `class_id` | by `data["class_name"]`, else COCO's 80 |
@@ -14,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +55,7 @@ def boxes_from(given: Any) -> list[NamedBox] | None:
             raise InvalidInputError(f"boxes[{number}]", box.tolist(), "Give x1, y1, x2, y2 in pixels.")
         label = str(number if track is None else track)
         sure = None if score is None else float(score)
-        follows = int(label) if track is not None and label.isdecimal() else None
+        follows = None if track is None else int(label) if label.isdecimal() else crc32(label.encode())
         boxes.append(NamedBox(label, box, BoxModel.SURFACE, sure, follows, name, known))
     return boxes
 

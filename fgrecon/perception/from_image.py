@@ -48,12 +48,14 @@ class FromImage:
         error: With which error it was refused, or None.
         camera: The camera that it was solved with; an estimated focal length has the standard deviation of its
             logarithm in `focal_sigma`.
+        track: Its id by the vehicle detector, where that is a tracker; or None.
     """
 
     detection: Detection
     result: Reconstruction | None
     error: FgreconError | None
     camera: Camera | None = None
+    track: int | None = None
 
     def __repr__(self) -> str:
         """A line: the box, and how it ended and where the vehicle is, or why it was refused."""
@@ -201,9 +203,10 @@ def reconstruct_image(
     pixels, from_exif = read_photograph(image) if isinstance(image, str | Path) else (as_rgb8(image), None)
     known = from_exif if camera is None else Camera.of(camera)
     sized = Camera.of_unknown(pixels.shape[1], pixels.shape[0]) if known is None else known.with_size_of(pixels)
+    tracks: tuple[int, ...] = ()
     if boxes is None:
         found = large_vehicles(pixels, vehicle_detector or NanodetVehicleDetector())
-        corners, named = found.boxes, found.classes
+        corners, named, tracks = found.boxes, found.classes, found.tracks
         options = for_detected(options) if vehicle_detector is None else options
     else:
         corners, named = as_finite("boxes", as_rows("boxes", boxes, 4), (None, 4)), ()
@@ -218,7 +221,7 @@ def reconstruct_image(
     estimated = next((one.camera for one in vehicles if one.result is not None), None)
     if known is None and estimated is not None:
         _warn_of_camera(estimated)
-    return vehicles
+    return [replace(one, track=track) for one, track in zip(vehicles, tracks, strict=True)] if tracks else vehicles
 
 
 def _with_classes(detections: list[Detection], classes: Sequence[VehicleClass | None] | None) -> list[Detection]:

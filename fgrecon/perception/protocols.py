@@ -74,8 +74,9 @@ def find_vehicles(detector: VehicleDetector, image: NDArray[np.uint8]) -> Vehicl
 
 
 def _vehicles(boxes: Sequence[NamedBox]) -> Vehicles:
-    """Boxes by falling score; one without a score is certain."""
-    order = sorted(boxes, key=lambda box: -1.0 if box.score is None else -box.score)
+    """Boxes by falling score; one without a score is certain, and beside tracks one without an id is not yet sure."""
+    tracked = [box for box in boxes if box.track is not None]
+    order = sorted(tracked or boxes, key=lambda box: -1.0 if box.score is None else -box.score)
     corners = np.array([box.corners for box in order]).reshape(-1, 4)
     classes = [box.vehicle_class for box in order]
     return Vehicles(
@@ -83,6 +84,7 @@ def _vehicles(boxes: Sequence[NamedBox]) -> Vehicles:
         np.array([1.0 if box.score is None else box.score for box in order]),
         tuple(box.kind or "car" for box in order),
         tuple(one for one in classes if one is not None) if None not in classes else (),
+        tuple(box.track for box in order if box.track is not None),
     )
 
 

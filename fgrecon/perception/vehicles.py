@@ -92,12 +92,14 @@ class Vehicles:
         scores: (N,) from 0 to 1; whether they are probabilities is said by what detected them.
         kinds: What each is, one word such as `Van`, which results of videos repeat; empty where that is not known.
         classes: Which class each is of, as evidence of its size; empty where that is not known.
+        tracks: Ids by a tracker, which results repeat; empty without one.
     """
 
     boxes: Array
     scores: Array
     kinds: tuple[str, ...] = ()
     classes: tuple[VehicleClass, ...] = ()
+    tracks: tuple[int, ...] = ()
 
     __repr__ = brief_repr
 
@@ -115,13 +117,15 @@ class Vehicles:
         object.__setattr__(self, "boxes", own(boxes))
         object.__setattr__(self, "scores", own(as_finite("vehicles.scores", self.scores, (len(boxes),))))
         kinds = tuple(one_word(f"vehicles.kinds[{i}]", kind) for i, kind in enumerate(self.kinds))
-        if len(kinds) not in (0, len(boxes)):
-            raise InvalidInputError("vehicles.kinds", f"{len(kinds)} for {len(boxes)} boxes", "Give one each, or none.")
         object.__setattr__(self, "kinds", kinds)
-        if len(self.classes) not in (0, len(boxes)):
-            raise InvalidInputError(
-                "vehicles.classes", f"{len(self.classes)} for {len(boxes)} boxes", "Give one each, or none."
-            )
+        object.__setattr__(self, "tracks", tuple(map(int, self.tracks)))
+        for name in ("kinds", "classes", "tracks"):
+            if (count := len(getattr(self, name))) not in (0, len(boxes)):
+                raise InvalidInputError(
+                    f"vehicles.{name}", f"{count} for {len(boxes)} boxes", "Give one each, or none."
+                )
+        if len(set(self.tracks)) < len(self.tracks) or min(self.tracks, default=0) < 0:
+            raise InvalidInputError("vehicles.tracks", list(self.tracks), "Give each vehicle its own id, from 0 on.")
 
     def __len__(self) -> int:
         """Number of cars."""
@@ -129,7 +133,7 @@ class Vehicles:
 
     def take(self, index: NDArray[np.intp]) -> Vehicles:
         """Those at an index."""
-        each = (tuple(some[i] for i in index) if some else () for some in (self.kinds, self.classes))
+        each = (tuple(some[i] for i in index) if some else () for some in (self.kinds, self.classes, self.tracks))
         return Vehicles(self.boxes[index], self.scores[index], *each)
 
 

@@ -15,6 +15,7 @@ from fgrecon.io.source_frames import SourceFrame
 from fgrecon.perception.boxes import classes_at
 from fgrecon.perception.keypoints.detect import check_box, large_enough
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, class_by, find_keypoints, find_vehicles
+from fgrecon.perception.vehicles import Vehicles
 from fgrecon.video.records import FrameRecord, Sighting
 
 
@@ -45,6 +46,7 @@ class FrameDetector:
             classes: Who says of which class vehicles are; None where all are cars.
         """
         self.category, self._classes = category, classes
+        self._tracked: bool | None = None  # whether the detector gives ids; None before it has found a vehicle
         self._vehicles, self._keypoints, self.given = vehicle_detector, keypoint_detector, given
 
     def __call__(self, frame: SourceFrame) -> FrameRecord:
@@ -63,9 +65,26 @@ class FrameDetector:
             return ()
         assert self._vehicles is not None
         found = find_vehicles(self._vehicles, frame.image)
-        kinds, named = found.kinds or [None] * len(found), found.classes or [None] * len(found)
-        each = zip(found.boxes, found.scores, kinds, named, strict=True)
-        return [Sighting(box, float(s), None, None, k, one) for box, s, k, one in each if large_enough(box)]
+        found = self._of_tracker(found, frame.name)
+        nothing = [None] * len(found)
+        ids, kinds, named = found.tracks or nothing, found.kinds or nothing, found.classes or nothing
+        each = zip(found.boxes, found.scores, ids, kinds, named, strict=True)
+        return [Sighting(box, float(s), i, None, k, one) for box, s, i, k, one in each if large_enough(box)]
+
+    def _of_tracker(self, found: Vehicles, name: str) -> Vehicles:
+        """What counts of an image: where a detector gives ids, those alone that have one.
+
+        Raises:
+            InvalidInputError: It gave none to vehicles before, whose ids are those of this program.
+        """
+        if len(found) and bool(found.tracks) != self._tracked:
+            if self._tracked is False:
+                fix = "Return no vehicles as long as none has an id."
+                raise InvalidInputError("vehicle_detector", f"ids from {name} on", fix)
+            if self._tracked:
+                return found.take(np.array([], dtype=np.intp))
+            self._tracked = bool(found.tracks)
+        return found
 
     def _of_classes(self, given: Sequence[Sighting], image: NDArray[np.uint8] | None) -> Sequence[Sighting]:
         """Given vehicles of a frame, of the classes that the vehicle detector says where it is to say them."""

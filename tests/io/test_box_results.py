@@ -1,5 +1,6 @@
 """Boxes of detectors and trackers in Python; `tests/formats/test_networks.py` has the packages' own objects."""
 
+import zlib
 from collections import namedtuple
 from types import SimpleNamespace
 
@@ -42,7 +43,7 @@ def norfair(number, corners, label):
         (ultralytics(), 7),
         ({"boxes": np.array([OTHER, BOX]), "labels": np.array([1, 3]), "scores": np.array([0.9, 0.5])}, None),
         (detectron2(), None),
-        ([Track("a-b", np.array(OTHER), 0.9, 0), Track("c-d", np.array(BOX), 0.5, 2)], None),
+        ([Track("a-b", np.array(OTHER), 0.9, 0), Track("c-d", np.array(BOX), 0.5, 2)], zlib.crc32(b"c-d")),
         ([norfair(3, OTHER, "person"), norfair(7, BOX, "car")], 7),
     ],
     ids=["supervision", "supervision-names", "ultralytics", "torchvision", "detectron2", "motpy", "norfair"],
@@ -53,6 +54,7 @@ def test_the_car_is_kept_with_class_score_and_id(given, track):
     assert (box.kind, box.score, box.track) == ("car", 0.5, track)
     found = find_vehicles(lambda _: given, np.zeros((90, 120, 3), np.uint8))
     assert (found.boxes.tolist(), found.scores.tolist(), found.kinds) == ([BOX], [0.5], ("car",))
+    assert found.tracks == (() if track is None else (track,))
 
 
 def test_no_box_and_no_class():

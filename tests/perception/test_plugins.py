@@ -75,6 +75,14 @@ def test_an_own_vehicle_detector_finds_the_boxes_and_small_ones_are_left_out(see
     np.testing.assert_array_equal(own.calls[0][1], [seen.box])
 
 
+def test_results_have_the_ids_of_a_tracker(seen):
+    far = np.add(seen.box, [40.0, 0.0, 40.0, 0.0])
+    boxes = np.array([seen.box, [3.0, 3.0, 9.0, 8.0], far])
+    detector = lambda _: Vehicles(boxes, [0.9, 0.8, 0.7], tracks=(7, 8, 3))  # noqa: E731
+    assert [car.track for car in solve(Own(seen, seen), None, vehicle_detector=detector)] == [7, 3]
+    assert [car.track for car in solve(Own(seen), [seen.box])] == [None]
+
+
 def test_where_no_vehicle_is_no_keypoints_are_asked_for():
     own = Own()
     assert solve(own, None, vehicle_detector=lambda _: Vehicles(np.zeros((0, 4)), np.zeros(0))) == []
@@ -159,6 +167,8 @@ def test_what_is_no_keypoint_detector_is_refused(seen, detector):
         (lambda _: Vehicles([[1, 2, 30, np.nan]], [1.0]), "vehicles.boxes"),
         (lambda _: Vehicles([[30, 2, 1, 40]], [1.0]), "vehicles.boxes"),
         (lambda _: Vehicles([[1, 2, 30, 40]], [1.0, 2.0]), "vehicles.scores"),
+        (lambda _: Vehicles([[1, 2, 30, 40]], [1.0], tracks=(1, 2)), "vehicles.tracks"),
+        (lambda _: Vehicles([[1, 2, 30, 40]] * 2, [1.0, 1.0], tracks=(1, 1)), "vehicles.tracks"),
     ],
 )
 def test_wrong_answers_of_a_vehicle_detector_are_named(detector, message):

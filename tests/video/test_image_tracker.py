@@ -60,6 +60,42 @@ def test_the_estimates_are_those_of_a_tracker_that_is_given_the_keypoints(tmp_pa
     assert [len(past) for past in images.tracker.smooth().values()] == [4, 4]
 
 
+def test_the_ids_are_those_of_a_detector_that_is_a_tracker():
+    first, second = simulated(2, seeds=(25, 26))
+    shown = Shown(*zip(first, second, strict=True))
+
+    def tracker(image):
+        found = shown.boxes(image)
+        return Vehicles(found.boxes, found.scores, tracks=((7, 3), (3, 9))[shown.at])
+
+    images = ImageTracker(vehicle_detector=tracker, keypoint_detector=shown)
+    assert sorted(images.update(0.0, IMAGE, camera=KITTI_CAMERA)) == [3, 7]
+    assert sorted(images.update(0.1, IMAGE, camera=KITTI_CAMERA)) == [3, 9]
+
+
+def test_vehicles_without_an_id_are_no_tracks_yet():
+    ((seen,),) = simulated(1, seeds=(25,))
+    answers = [((7,), [seen]), ((), []), ((7,), [seen]), ((), [seen])]
+
+    def detector(order):
+        shown = Shown(*(answers[i][1] for i in order))
+
+        def tracker(image):
+            shown.at += 1
+            return Vehicles(np.array([seen.box]), np.ones(1), tracks=answers[order[shown.at]][0])
+
+        return ImageTracker(vehicle_detector=tracker, keypoint_detector=shown)
+
+    images = detector((0, 1, 2))
+    found = [sorted(images.update(0.1 * t, IMAGE, camera=KITTI_CAMERA)) for t in range(3)]
+    assert found[0] == found[2] == [7]
+    assert 0 not in found[1]
+    images = detector((3, 0))
+    assert sorted(images.update(0.0, IMAGE, camera=KITTI_CAMERA)) == [0]
+    with pytest.raises(InvalidInputError, match="ids from image 1 on"):
+        images.update(0.1, IMAGE, camera=KITTI_CAMERA)
+
+
 def test_vehicles_that_have_gone_are_forgotten_unless_an_association_keeps_them():
     (seen,) = simulated(1, seeds=(25,))
     for arguments, kept in (({}, []), ({"association": GatedAssociation()}, [0])):
