@@ -18,13 +18,11 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.solve.proposals import _polynomial
 from fgrecon.solve.proposals.aspnp import aspnp
 from tests.solve.proposals.problems import KINDS, PnPProblem, aspnp_cost, random_problem
-
-Array = NDArray[np.float64]
 
 CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 SLACK = 1e-9  # of the image points' squared spread: above the rounding of two cost evaluations, below all that matters

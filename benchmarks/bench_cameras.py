@@ -19,10 +19,10 @@ from typing import TypeVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fgrecon.calibration.regions import normalised_squared_error
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import ANY_FOCAL_SIGMA, Camera, Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES
@@ -41,7 +41,6 @@ from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
 from fgrecon_research.evaluation.measures import rotation_error
 from fgrecon_research.training.keypoints.posed_cars import PosedCar, read_posed_cars, read_validation_ids
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 _SIZE = (1280, 960)

@@ -17,10 +17,10 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, BoxOutcome, outcome
 from fgrecon.calibration.regions import DIMENSIONS
+from fgrecon.core.arrays import Array
 from fgrecon.core.coverage import reliability
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.half_turn import flipped_observation
@@ -37,8 +37,6 @@ from fgrecon.io.track_file import GroundTruth
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 from fgrecon.solve.tracker import Tracker
 from fgrecon_research.evaluation.video_summary import consistency
-
-Array = NDArray[np.float64]
 
 _MISSING, _TURNED, _ROW = 0.3, 0.3, 5
 _LONGEST, _SHORTEST = 60, 30  # frames of a path

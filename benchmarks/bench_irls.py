@@ -19,8 +19,8 @@ import time
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.options import Options
 from fgrecon.core.robust import StrategyName, strategy
@@ -30,8 +30,6 @@ from fgrecon.solve.proposals.irls import Algorithm1Result, algorithm1
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import prepare
 from tests.solve.proposals.problems import aspnp_cost
-
-Array = NDArray[np.float64]
 
 WORSE = 1e-6  # relative: below, both have found the same minimum
 

@@ -52,8 +52,6 @@ _REFINED = 12  # best distinct ends of the wide search that are refined in the g
 _ALIKE = np.radians(10.0)
 _ITERATIONS = 20
 
-Array = np.ndarray[Any, np.dtype[np.float64]]
-
 
 @dataclass(frozen=True)
 class Case:

@@ -16,9 +16,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.shape_errors import expression_error, mean_error
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SIZE_PRIORS
@@ -29,7 +29,6 @@ from fgrecon_research.training.priors.compare import align, compare_priors
 from fgrecon_research.training.priors.learn import PROPORTIONS, LearntPrior, learn_prior, to_prior
 from fgrecon_research.training.priors.nrsfm import NrsfmOptions
 
-Array = NDArray[np.float64]
 DEFAULT = NrsfmOptions(bootstrap=0)
 VARIANTS = {
     "default": DEFAULT,

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import fgrecon
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import box_around, yaw_rotation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation import KITTI_CAMERA
@@ -27,8 +27,6 @@ from fgrecon.simulation import KITTI_CAMERA
 _HEIGHT, _RATE, _STRETCHES = 1.65, 10.0, 10
 _NOISE = 0.02  # of a car's extent in the image
 _DIRECTIONS = 36
-
-Array = NDArray[np.float64]
 
 
 def observed(prior: ShapePrior, frame: int, car: int, rng: np.random.Generator) -> fgrecon.Observation:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_finite
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon_research.training.priors.compare import align, motions
 
-Array = NDArray[np.float64]
 _ITERATIONS = 10
 
 

@@ -13,12 +13,12 @@ from typing import Any
 import cv2
 import numpy as np
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 
 __all__ = ["CHANGES", "View"]
 
 Pixels = np.ndarray[Any, np.dtype[np.uint8]]
-Array = np.ndarray[Any, np.dtype[np.float64]]
 
 _GAMMA = 2.2
 _BARREL = np.array([-0.25, 0.06, 0.0, 0.0, 0.0])

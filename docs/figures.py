@@ -12,10 +12,10 @@ from typing import Any
 import gtsam
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 import fgrecon
 from factors import X, guarded_factor
+from fgrecon.core.arrays import Array
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.simulation import KITTI_CAMERA, Vehicle, simulate, simulate_track, yaw_pose
 from fgrecon.simulation.sample import sample_scan, sample_street
@@ -31,7 +31,6 @@ VARIABLES = {
     "G": "ground G",
     "V": "velocity V",
 }
-Array = NDArray[np.float64]
 
 
 def outline(pose: Array, size: Array) -> Array:

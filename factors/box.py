@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.arrays import Array
 from factors.mixture import mixture
 from factors.projection import by_pose, pixel_jacobian
 
@@ -29,7 +30,6 @@ if TYPE_CHECKING:  # on use: most of this needs numpy alone
 
     from factors.projection_kernel import Projection, ProjectionKernel
 
-Array = NDArray[np.float64]
 
 OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
 """Which way each edge x1, y1, x2, y2 looks."""

@@ -15,15 +15,14 @@ from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from factors.arrays import Array
 from factors.checks import finite_array, unit_vector
 from factors.ground import ground_rows
 from factors.guard import CompiledRows, Evaluation, guarded_factor
 from factors.native import native
 from factors.noise import Noise
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from factors.arrays import Array
 from factors.checks import finite_array
 from factors.noise import diagonal_noise
 from factors.shape import LinearShape
 from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
-
-Array = NDArray[np.float64]
 
 
 class DimensionsTerm(ShapeTerm):

@@ -17,15 +17,13 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from factors.arrays import Array
 from factors.checks import finite_array
 from factors.contact import GroundFrame
 from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
-
-Array = NDArray[np.float64]
 
 
 def ground_transition_factor(

@@ -10,12 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from factors.arrays import Array
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
-
-Array = NDArray[np.float64]
 
 SMALLEST_WEIGHT = 1e-12
 """A keypoint of less weight is left out."""

@@ -16,12 +16,10 @@ from itertools import accumulate, pairwise
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from factors.arrays import Array
 from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
-
-Array = NDArray[np.float64]
 
 _DAMPED = 1e-9  # of the diagonal of what is eliminated: directions that nothing determines
 _NOTHING = 1e-12  # share of the largest information below which a direction has none

@@ -20,9 +20,8 @@ from __future__ import annotations
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from factors.arrays import Array
 
 STIFFEST = 0.1
 """Share of the weighted curvature along a residual that is left at least: far out the loss bends the other way."""

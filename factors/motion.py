@@ -21,15 +21,13 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
 from factors.guard import CompiledRows, Evaluation, guarded_factor
 from factors.native import native
 from factors.noise import Noise
-
-Array = NDArray[np.float64]
 
 _TWIST = np.zeros((6, 3))
 _TWIST[3, 0] = _TWIST[5, 1] = _TWIST[1, 2] = 1.0

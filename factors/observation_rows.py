@@ -18,8 +18,9 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from factors.arrays import Array
 from factors.box import OUTWARD, BoxRows, crease_rows, projected_extents
 from factors.checks import finite_array
 from factors.errors import DegenerateProblemError, InvalidInputError
@@ -31,8 +32,6 @@ from factors.mixture import Form, robust_rows
 from factors.projection import SHALLOWEST
 from factors.projection_kernel import ProjectionKernel
 from factors.system import packed_pose
-
-Array = NDArray[np.float64]
 
 
 @dataclass(eq=False)

@@ -15,12 +15,10 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from factors.arrays import Array
 from factors.guard import Evaluation
 from factors.surface_points import NOTHING_SHARED, PointRows, State, SurfacePointsFactor
-
-Array = NDArray[np.float64]
 
 
 class PlacedPointsFactor(SurfacePointsFactor):

@@ -20,6 +20,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from factors.arrays import Array
 from factors.checks import index_array, unit_vector
 from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
@@ -27,8 +28,6 @@ from factors.keys import P
 from factors.noise import Noise
 from factors.shape import LinearShape
 from factors.shape_factor import FaceLike, ShapeContext, ShapeTerm, shape_factor
-
-Array = NDArray[np.float64]
 
 _UP = (0.0, -1.0, 0.0)
 

@@ -12,9 +12,8 @@ object's axes instead, whose derivative is d(u, v)/dY R. Functions take H poses 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from factors.arrays import Array
 
 LEAST_DEPTH = 1e-3
 """Depth in metres below which a point counts as behind the camera; the projection is evaluated at this depth there."""

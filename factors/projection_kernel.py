@@ -15,14 +15,13 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from factors.arrays import Array
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
 from factors.projection import by_pose, pixel_jacobian, project
 from factors.shape import LinearShape
-
-Array = NDArray[np.float64]
 
 
 @dataclass(slots=True)

@@ -15,15 +15,14 @@ import math
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from factors.arrays import Array
 from factors.checks import index_array
 from factors.errors import InvalidInputError
 from factors.noise import Noise
 from factors.shape import LinearShape
 from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
-
-Array = NDArray[np.float64]
 
 SHORTEST_DIAGONAL = 1e-9
 """Metres; a diagonal of no more has no direction, and its derivative is taken as zero."""

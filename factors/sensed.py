@@ -15,12 +15,10 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from factors.arrays import Array
 from factors.guard import CompiledRows, Evaluation, guarded_factor
 from factors.mixture import Form, robust_rows
-
-Array = NDArray[np.float64]
 
 
 class SensedFactor:

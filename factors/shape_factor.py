@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.arrays import Array
+
 if TYPE_CHECKING:  # on use: names need nothing
     import gtsam
 
@@ -24,7 +26,6 @@ if TYPE_CHECKING:  # on use: names need nothing
     from factors.noise import Noise
     from factors.shape import LinearShape
 
-Array = NDArray[np.float64]
 
 SHAPE_TERMS = {
     "coefficients": "factors.shape_prior:CoefficientsTerm",

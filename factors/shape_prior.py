@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from factors.arrays import Array
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
 from factors.keys import S
@@ -17,8 +18,6 @@ from factors.linear import ZeroPrior
 from factors.marginals import Marginal, marginal_factor
 from factors.noise import diagonal_noise
 from factors.shape_factor import ShapeContext, ShapeTerm
-
-Array = NDArray[np.float64]
 
 SMALLEST_OFFSET_SIGMA = 1e-4
 """Metres; a standard deviation of zero would make the system singular."""

@@ -11,15 +11,12 @@ from types import ModuleType
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.guard import CompiledRows, Evaluation, guarded_factor
 from factors.keys import M
 from factors.rectangularity import rectangles
 from factors.shape_factor import ShapeContext
 from factors.system import packed_plane
-
-Array = NDArray[np.float64]
 
 STACKED = ("symmetry", "rectangularity", "dimensions")
 """Terms that the kernel has."""

@@ -19,13 +19,12 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.arrays import Array
 from factors.distance_field import DistanceField
 from factors.guard import Evaluation
 from factors.mixture import mixture
 from factors.projection import LEAST_DEPTH, by_pose, pixel_jacobian, project
 from factors.sensed import SensedFactor
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from factors.arrays import Array
 
 SPACING = 0.12
 """Metres between the grid's points."""

@@ -32,13 +32,12 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.arrays import Array
 from factors.guard import Evaluation
 from factors.mixture import Form, mixture
 from factors.native import native
 from factors.sensed import SensedFactor
 from factors.surface_patches import SPACING, SurfacePatches
-
-Array = NDArray[np.float64]
 
 
 class Shared(IntEnum):

@@ -15,14 +15,13 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from factors.arrays import Array
 from factors.checks import index_array
 from factors.errors import InvalidInputError
 from factors.keys import M
 from factors.noise import Noise
 from factors.shape import LinearShape
 from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
-
-Array = NDArray[np.float64]
 
 
 class SymmetryTerm(ShapeTerm):

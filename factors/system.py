@@ -21,11 +21,11 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.arrays import Array
 from factors.guard import CompiledRows
 from factors.keys import decode_key
 from factors.native import native
 
-Array = NDArray[np.float64]
 Point = Any
 """Values of all variables as a system has them: an array, or `gtsam.Values`."""
 

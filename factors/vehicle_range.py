@@ -17,13 +17,11 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from factors.arrays import Array
 from factors.guard import Evaluation, guarded_factor
 from factors.mixture import Form
 from factors.sensed import SensedFactor
-
-Array = NDArray[np.float64]
 
 _NOWHERE = 1e-9  # metres: of a sensor in the vehicle's surface no direction leads out
 

@@ -19,8 +19,6 @@ _STRATEGIES = tuple(fgrecon.StrategyName)
 
 __all__ = ["faults", "problem"]
 
-Array = np.ndarray[Any, np.dtype[np.float64]]
-
 
 def random_camera(rng: np.random.Generator) -> fgrecon.Camera:
     """Focal lengths from 1 to 100,000 pixels, most of them sensible."""

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
@@ -20,8 +19,6 @@ from fgrecon.io.track_file import read_track
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 from fgrecon_research.simulation import HARD, simulate_many
 from tests.conftest import data_root
-
-Array = NDArray[np.float64]
 
 GROUND_HEIGHT = 1.65
 SIZE = "kitti"

@@ -16,11 +16,10 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.speed.builds import THIS, Build
+from fgrecon.core.arrays import Array
 
-Array = NDArray[np.float64]
 Clock = Callable[[], tuple[float, float]]
 """Runs something once and tells its milliseconds of CPU and by the clock."""
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from benchmarks.speed.cases import Case
 from benchmarks.speed.measure import Clock, clock
 from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.shape_prior import ShapePrior
@@ -27,8 +27,6 @@ from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.evaluation.methods import METHODS
 from tests.solve.graph.energy import Energy, Whitened, minimise_by_ceres
 from tests.solve.graph.support import energy_of, vector
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

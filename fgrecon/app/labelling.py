@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgrecon.app.picture_editor import hand_variance
 from fgrecon.app.requested import Requested
 from fgrecon.app.solving import Uploaded, solve
 from fgrecon.batch.solve_tasks import Outcome
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.errors import InvalidInputError
@@ -19,8 +19,6 @@ from fgrecon.core.geometry import transform, view_azimuth
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.io.coco_keypoints import LabelledImage, VehicleLabel
-
-Array = NDArray[np.float64]
 
 _STATED = 0.1  # weight below which a keypoint is named
 

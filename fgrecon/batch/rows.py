@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from fgrecon.batch.pool import WorkerDiedError
 from fgrecon.batch.schema import ERROR, REFUSED, result_schema
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
@@ -19,8 +19,6 @@ from fgrecon.core.reconstruction import Alternative, Diagnostics, Pose, Reconstr
 from fgrecon.core.result_fields import Regions
 from fgrecon.core.serialise import finite
 from fgrecon.io.keypoint_file import Instance
-
-Array = NDArray[np.float64]
 
 
 def origin_of(task: Mapping[str, Any], position: int) -> dict[str, Any]:

@@ -6,19 +6,17 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import wanted
 from fgrecon.calibration.labelled_frames import ScoredFrame
 from fgrecon.calibration.setup import SETTINGS
+from fgrecon.core.arrays import Array
 from fgrecon.core.detector_calibration import BoxSource
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, yaw_rotation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
-
-Array = NDArray[np.float64]
 
 _MAD = 1.4826  # from the median absolute deviation to a normal standard deviation
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, SYSTEM, VideoBox, box_coverage, wanted
 from fgrecon.calibration.setup import SETTINGS
+from fgrecon.core.arrays import Array
 from fgrecon.core.coverage import SIGMAS, reliability
 from fgrecon.core.detection import calibrated_facing
 from fgrecon.core.detector_calibration import DetectorCalibration
@@ -27,8 +28,6 @@ FACTORS = SETTINGS.common_factors
 """The common factors that vehicles are reconstructed with; what is fitted lies between them."""
 
 _QUANTITIES = "position", "yaw"
-
-Array = NDArray[np.float64]
 
 
 def as_said(factor: float) -> KeypointOptions:

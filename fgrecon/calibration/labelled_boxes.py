@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from fgrecon.calibration.matching import match_detections
 from fgrecon.calibration.regions import DIMENSIONS, claimed
 from fgrecon.calibration.selection import Selection
+from fgrecon.core.arrays import Array
 from fgrecon.core.coverage import Coverage, Region, coverage
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import orientation_error, translation_error, wrap_angle
@@ -26,8 +27,6 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.io.kitti_drives import DriveFrame
 from fgrecon.io.kitti_files import Objects
 from fgrecon.io.track_file import GroundTruth
-
-Array = NDArray[np.float64]
 
 FLIPPED_DEGREES = 90.0
 """Degrees of yaw error above which a vehicle's heading is flipped."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import SYSTEM, BoxOutcome, VideoBox, labelled_azimuth, matched, outcome, wanted
 from fgrecon.calibration.setup import SETTINGS, Setup, reconstruct_boxes
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.choices import ClassScheme, ClassSource
 from fgrecon.core.detection import facing_probability
@@ -33,8 +34,6 @@ from fgrecon.io.track_file import GroundTruth, TrackFrame
 from fgrecon.perception.boxes import classes_at, large_vehicles
 from fgrecon.perception.from_image import FromImage
 from fgrecon.video.records import Sighting
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import position_covariance
 from fgrecon.core.reconstruction import Reconstruction
-
-Array = NDArray[np.float64]
 
 DIMENSIONS = {"position": 3, "yaw": 1, "size": 3, "velocity": 2}
 """What normalised squared errors are of, and its dimension; velocity is over the ground."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.matching import MINIMUM_OVERLAP
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.choices import ClassSource
 from fgrecon.core.options import Options
@@ -19,8 +20,6 @@ from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.perception.from_image import FromImage, reconstruct_image
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.protocols import VehicleDetector
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

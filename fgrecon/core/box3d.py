@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.checks import as_finite, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, yaw_rotation
 from fgrecon.core.settings import check_settings, number
-
-Array = NDArray[np.float64]
 
 _FARTHEST, _LARGEST = 1e5, 1e3  # metres: farther away or larger is no box of anything that a camera sees
 

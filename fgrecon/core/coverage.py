@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from fgrecon.core.arrays import Array
 
 LEVELS = np.round(np.arange(0.05, 1.0, 0.05), 2)
 """Probabilities at which coverage is looked at."""

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_either, as_finite, as_shape, own
 from fgrecon.core.choices import DepthScale
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.repr import brief_repr
 from fgrecon.core.settings import one_of
-
-Array = NDArray[np.float64]
 
 _FARTHEST, _NEAREST = 300.0, 0.5  # metres: the median depth of no image with vehicles is larger or smaller
 _LARGEST_RELATIVE = 1.0

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from factors.projection import cross, pixel_jacobian
+from fgrecon.core.arrays import Array
 
 __all__ = [
     "AHEAD",
@@ -24,7 +25,6 @@ __all__ = [
     "yaw_rotation",
 ]
 
-Array = NDArray[np.float64]
 
 MIRROR = np.array([1.0, 1.0, -1.0])
 """Factors of the coordinates in the object frame that put a point where its mirror image is."""

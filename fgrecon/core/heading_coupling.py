@@ -11,12 +11,10 @@ ahead or to the right go as it does; so do most of those that are parked.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.choices import TrafficSide
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
-
-Array = NDArray[np.float64]
 
 _BESIDE = np.array([0.0, 1.0, 2.0, 3.0, 3.5, 4.5, 5.5, 7.0, 9.0, 12.0, 20.0])  # metres across two headings
 _ALIKE = np.array([0.965, 0.955, 0.93, 0.91, 0.80, 0.69, 0.53, 0.34, 0.40, 0.40, 0.50])

@@ -20,6 +20,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import ContradictoryInputWarning, InvalidInputError
 from fgrecon.core.observation import Observation
@@ -51,8 +52,6 @@ _STRAY = 10.0  # times the median of these distances; on KITTI's tracks no keypo
 _MARKS = np.array([-999.0, -1000.0, -9999.0, 9999.0, 99999.0])  # for u and v of a point that is missing
 _WIDEST_RAY = 11.4  # tangent of 85 degrees beside the axis
 _LEANING, _ABOVE = math.radians(35.0), 0.35  # of results: tilt against the camera, and height over it by the distance
-
-_Array = NDArray[np.float64]
 
 
 class InputWarning(StrEnum):
@@ -278,13 +277,13 @@ def strays(observation: Observation, camera: Camera) -> list[tuple[NDArray[np.bo
     return found
 
 
-def _median(numbers: _Array) -> _Array:
+def _median(numbers: Array) -> Array:
     """Along the first axis: of few numbers in a fraction of numpy's time."""
     ordered, half = np.sort(numbers, axis=0), len(numbers) // 2
     return ordered[half] if len(numbers) % 2 else (ordered[half - 1] + ordered[half]) / 2.0
 
 
-def _check_rays(points: _Array, camera: Camera) -> None:
+def _check_rays(points: Array, camera: Camera) -> None:
     """Refuse intrinsics of another unit: by them most points (N, 2) are where no pinhole sees."""
     if not len(points):
         return
@@ -310,7 +309,7 @@ def result_warning_of(observation: Observation, result: Reconstruction) -> Input
     return None
 
 
-def in_the_air(camera_T_object: _Array) -> bool:
+def in_the_air(camera_T_object: Array) -> bool:
     """Whether a vehicle at a pose (4, 4) is high up in the air, or leans by tens of degrees against the camera."""
     if not np.isfinite(camera_T_object).all():
         return False
@@ -318,7 +317,7 @@ def in_the_air(camera_T_object: _Array) -> bool:
     return bool(camera_T_object[1, 1] < math.cos(_LEANING) or -y > _ABOVE * math.hypot(x, z))
 
 
-def fit_share(observation: Observation, weights: _Array) -> float | None:
+def fit_share(observation: Observation, weights: Array) -> float | None:
     """Share of the keypoints that fit; None where they are too few to say.
 
     Args:
@@ -329,7 +328,7 @@ def fit_share(observation: Observation, weights: _Array) -> float | None:
     return float(np.mean(weights[certain] >= _FIT)) if np.count_nonzero(certain) >= _ENOUGH else None
 
 
-def _at_edge(box: _Array, size: _Array) -> bool:
+def _at_edge(box: Array, size: Array) -> bool:
     """Whether a box reaches an edge of its image."""
     margin = _EDGE * size
     return bool((box[:2] < margin).any() or (box[2:] > size - margin).any())
@@ -341,6 +340,6 @@ def _certain(observation: Observation) -> NDArray[np.bool_]:
     return certain if certain.any() else observation.measured
 
 
-def _outside(points: _Array, least: _Array, most: _Array) -> NDArray[np.bool_]:
+def _outside(points: Array, least: Array, most: Array) -> NDArray[np.bool_]:
     """(N,) which points (N, 2) lie outside of a rectangle."""
     return np.any((points < least) | (points > most), axis=1)

@@ -14,9 +14,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fgrecon.core.arrays import Array
 
 OPENCV, FISHEYE, MEI = "opencv", "fisheye", "mei"
 COUNTS = {OPENCV: (4, 5, 8, 12, 14), FISHEYE: (4,), MEI: (5,)}

@@ -11,10 +11,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.errors import InvalidInputError
-
-Array = NDArray[np.float64]
 
 _FARTHEST = 300.0  # metres: the median depth of no scan is larger; millimetres and centimetres are
 _SHARE = 0.02  # of the points fall into the image in the frame of a mistake that explains it,

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.repr import brief_repr
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

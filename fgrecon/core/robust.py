@@ -31,12 +31,11 @@ from numpy.typing import NDArray
 
 from factors.losses import Loss, RobustLoss
 from factors.mixture import mixture
+from fgrecon.core.arrays import Array
 from fgrecon.core.choices import StrategyName
 from fgrecon.core.settings import check_settings, choice, count, number, one_of
 
 __all__ = ["Evidence", "RobustStrategy", "StrategyName", "strategy"]
-
-Array = NDArray[np.float64]
 
 
 _LOSSES = {

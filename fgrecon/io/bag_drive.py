@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Points
@@ -35,8 +35,6 @@ from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.lens_fields import read_lens
 from fgrecon.io.poses import CameraPoses, read_pose
 from fgrecon.io.source_frames import Choice
-
-Array = NDArray[np.float64]
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 _INFO, _ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"

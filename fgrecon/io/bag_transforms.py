@@ -14,14 +14,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import quaternion_pose
 from fgrecon.io.bag import NANO
 from fgrecon.io.poses import CameraPoses
-
-Array = NDArray[np.float64]
 
 _UNIT = 1e-2  # by so much the length of a quaternion may be off
 _SAME = 1e-9  # metres, and elements of rotations: transforms that are repeated stand still

@@ -13,16 +13,14 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.files import read_text
 from fgrecon.io.images import IMAGES
 from fgrecon.io.kitti_files import LABEL_COLUMNS, parse_object
-
-Array = NDArray[np.float64]
 
 _TRACKED = 2  # columns in front of a tracking line's object
 _FIX = "Give lines of KITTI's objects: type, 14 numbers and a score or none; of its tracking set after frame and track."

@@ -19,7 +19,6 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgrecon.core.checks import array_of
 from fgrecon.core.errors import InvalidInputError
@@ -28,7 +27,6 @@ from fgrecon.core.text import one_word
 from fgrecon.io.boxes import COCO_CLASSES, YOLO_CLASSES, NamedBox
 from fgrecon.io.catalogue import class_of_kind
 
-Array = NDArray[np.float64]
 _Row = tuple[Any, Any, Any, Any]  # corners, class, score, id
 _CAR = "car"
 

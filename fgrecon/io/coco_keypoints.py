@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.repr import brief_repr
 from fgrecon.io.files import behind_links, write_text
@@ -36,8 +37,6 @@ _CATEGORY = _LICENSE = 1
 _CORNERS = 8
 _LABELLED, _RECONSTRUCTED = "labelled", "reconstructed"  # where a cuboid is from
 _FLAGS = 0, 1, 2
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

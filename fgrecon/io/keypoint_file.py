@@ -34,8 +34,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
@@ -49,8 +49,6 @@ from fgrecon.io.images import IMAGES, refuse_unread
 from fgrecon.io.json_fields import Fields, numbers, plain_id, read_json
 from fgrecon.io.lens_fields import check_unused, read_lens, read_size
 from fgrecon.io.video_frames import VIDEOS
-
-Array = NDArray[np.float64]
 
 _NO_TRACK = -1
 _CAMERA_FIELDS = {"K", "intrinsics", "distortion", "distortion_model", "image_size"}

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import quaternion_pose, transform
 from fgrecon.io.json_fields import Fields, read_json
@@ -101,8 +102,6 @@ def _table(path: Path, changed: int) -> Mapping[str, Fields]:  # noqa: ARG001  #
     records = [Fields(item, f"{path}: [{number}].") for number, item in enumerate(data)]
     return {record.get("token", str): record for record in records}
 
-
-Array = NDArray[np.float64]
 
 NEAREST = 0.5
 """Metres: an object that reaches nearer to the camera, or behind it, has no box."""

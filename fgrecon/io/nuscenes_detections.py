@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.errors import InvalidInputError
@@ -24,8 +24,6 @@ from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.box_lines import BoxedImage, images_of
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.io.nuscenes import NuScenesTables, pose_of
-
-Array = NDArray[np.float64]
 
 _FIX = "Give a submission of nuScenes' detection task: an object with `results`, a list of boxes by sample token."
 

@@ -18,15 +18,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_finite, as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import rigid
 from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import numbers, read_json
-
-Array = NDArray[np.float64]
 
 _FIX = "Give lines of 12 numbers (KITTI) or of 8 (TUM), or JSON with matrices 4 x 4."
 _KITTI, _TUM = 12, 8

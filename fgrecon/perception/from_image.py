@@ -35,8 +35,6 @@ from fgrecon.solve.scene import reconstruct_scene
 if TYPE_CHECKING:
     import gtsam
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class FromImage:

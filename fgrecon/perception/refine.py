@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
 from fgrecon.core.checks import as_instance, as_list, as_rows, as_shape
@@ -32,8 +33,6 @@ from fgrecon.solve.box_origin import contradicted_origin, on_bottom
 from fgrecon.solve.inputs import as_ground
 from fgrecon.solve.refine import refined
 from fgrecon.solve.scene import reconstruct_scene
-
-Array = NDArray[np.float64]
 
 
 def refine_boxes(

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
@@ -22,7 +23,6 @@ from fgrecon.core.evidence import Evidence, StereoPair, as_evidence
 from fgrecon.core.lens import OPENCV
 from fgrecon.perception.keypoints.detect import as_rgb8
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 

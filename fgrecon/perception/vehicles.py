@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_finite, one_word, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_overlaps
@@ -23,8 +24,6 @@ from fgrecon.io.isolated import Isolated
 from fgrecon.perception.keypoints.decode import sigmoid
 from fgrecon.perception.keypoints.detect import as_rgb8
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session, runs_on, threads_of_networks
-
-Array = NDArray[np.float64]
 
 INPUT = "image"
 """Name of the network's input: (1, 3, H, W) RGB from 0 to 1, less a mean; H and W are multiples of 32, from 64."""

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.repr import brief_repr
-
-Array = NDArray[np.float64]
 
 Paint = Callable[[Array, Array], tuple[Array, Array]]
 """Maps points (M, 3) and unit normals (M, 3) of the object frame to albedo (M, 3) and gloss (M,), all in [0, 1]."""

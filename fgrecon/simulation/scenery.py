@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.simulation.render import Paint, pixel_rays, sky
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _Cover = Callable[[Mask, Array, float], None]
 

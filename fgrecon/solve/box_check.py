@@ -10,14 +10,12 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.geometry import transform
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import STATUS
-
-Array = NDArray[np.float64]
 
 _ERROR = 1.86  # standard error of a median times the root of the count, over the median absolute deviation
 

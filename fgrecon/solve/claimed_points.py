@@ -13,12 +13,11 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.evidence import Points
 from fgrecon.core.observation import Observation
 from fgrecon.solve.graph.multi_start import MultiStartResult
 from fgrecon.solve.proposals.point_term import POINTS, POINTS_NAME
-
-Array = NDArray[np.float64]
 
 
 def without_claimed(

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.proposals.problem import Problem
@@ -20,8 +20,6 @@ from fgrecon.solve.time.time_settings import SETTINGS
 from fgrecon.solve.time.vehicle_filter import VehicleFilter
 from fgrecon.solve.vehicle.conditioning import express
 from fgrecon.solve.vehicle.model import VehicleModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.surface_points import PointRows
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.choices import DepthScale
 from fgrecon.core.depth_map import DepthCalibration, DepthMap, pixel_rays
@@ -27,8 +28,6 @@ from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.solve_settings import DEPTH_SCALE
-
-Array = NDArray[np.float64]
 
 _STEP = 1e-6  # of numeric derivatives
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.marginals import Marginal
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
@@ -25,8 +25,6 @@ from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.time.frame import Frame, FrameStep
 from fgrecon.solve.time.vehicle_filter import FilterModel, VehicleFilter, VehicleUpdate, first_observed
 from fgrecon.solve.vehicle.model import in_traffic
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,13 @@ from typing import Protocol, TypeVar
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.contact import GroundFrame
 from factors.ground_transition import ground_transition_factor
 from factors.keys import G
 from factors.marginals import Marginal, both, normal_marginal
 from factors.noise import full_noise
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.ground_evidence import GroundEvidence
@@ -34,8 +34,6 @@ from fgrecon.solve.image_ground import ground_spread, observed_ground, own_devia
 from fgrecon.solve.solve_settings import GROUND_FILTER, ROAD, SCENE
 from fgrecon.solve.time.camera_drift import CameraDrift
 from fgrecon.solve.time.time_settings import SETTINGS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera
 from fgrecon.core.detection import half_around, pose_facing_probability
@@ -34,8 +34,6 @@ from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import FACING
 from fgrecon.solve.vehicle.model import VehicleModel
-
-Array = NDArray[np.float64]
 
 
 def couple_facings(

@@ -13,19 +13,17 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.contact import GroundFrame, contact_factor
 from factors.keys import G, X
 from factors.linear import ZeroPrior
 from factors.losses import Loss, RobustLoss
 from factors.noise import diagonal_noise
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.solve_settings import SCENE
 from fgrecon.solve.weakness import off_ground
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

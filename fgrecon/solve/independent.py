@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.half_turn import flipped_alternative
@@ -36,8 +36,6 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.frame import PosedImage
 from fgrecon.solve.time.heading_choice import image_evidence, moved_to
 from fgrecon.solve.time.heading_filter import Belief, box_evidence
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

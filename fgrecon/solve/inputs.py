@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
@@ -34,7 +35,6 @@ from fgrecon.solve.vehicle.model import VehicleModel, in_traffic, prepare, sized
 if TYPE_CHECKING:
     import gtsam
 
-Array = NDArray[np.float64]
 
 _CAMERA_NUMBERS = Real, np.ndarray, list, tuple  # what a matrix, or fx, fy, cx, cy, are made of
 _TURN = 2.0 * np.pi + 1e-6  # radians; what is more is in degrees

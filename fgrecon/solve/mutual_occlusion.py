@@ -12,12 +12,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.vehicle.visibility import clearance, probability
-
-Array = NDArray[np.float64]
 
 _UNHIDDEN = probability(np.zeros(1))  # of what nothing hides, which stays as visible as it is
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.errors import FgreconError
@@ -11,8 +10,6 @@ from fgrecon.core.geometry import position_covariance
 from fgrecon.core.reconstruction import TRUSTED, Reconstruction
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.solve.solve_settings import SCENE
-
-Array = NDArray[np.float64]
 
 
 def refined(given: Box3D, errors: BoxErrors, result: Reconstruction | None, error: FgreconError | None) -> RefinedBox:

@@ -9,8 +9,8 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.checks import own
 from fgrecon.core.detection import calibrated_facing, pose_facing_probability
@@ -50,8 +50,6 @@ from fgrecon.solve.proposals.scaled_depth import ScaledDepth
 from fgrecon.solve.solve_settings import STATUS
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
 from fgrecon.solve.weakness import weaknesses
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

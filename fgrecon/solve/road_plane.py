@@ -14,15 +14,13 @@ from typing import TypeGuard
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.choices import DepthScale
 from fgrecon.core.depth_map import DepthCalibration, DepthMap, pixel_rays
 from fgrecon.core.evidence import Evidence, Points
 from fgrecon.solve.solve_settings import ROAD
-
-Array = NDArray[np.float64]
 
 _cells: WeakKeyDictionary[Points | DepthMap, Array] = WeakKeyDictionary()  # vehicle by vehicle asks for the same scan's
 

@@ -22,9 +22,10 @@ from time import perf_counter
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from factors.keys import F, S, decode_key
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_list
@@ -55,8 +56,6 @@ from fgrecon.solve.solve_settings import SCENE
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon.solve.weakness import unknown_focal
-
-Array = NDArray[np.float64]
 
 _OF_VEHICLE = "XLOPM"
 _NOT_IN_IT = (

@@ -19,6 +19,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite, as_flag
 from fgrecon.core.errors import FgreconError, InvalidInputError
@@ -58,8 +59,6 @@ from fgrecon.solve.time.frame import Frame
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle_filter import FilterModel
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, velocity_covariances
-
-Array = NDArray[np.float64]
 
 _MAPPING = "Give a mapping: an `fgrecon.Observation` by id. Images go to `fgrecon.video.ImageTracker`."
 

@@ -10,8 +10,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
@@ -19,8 +19,6 @@ from fgrecon.core.input_warnings import FARTHEST, REASONS, InputWarning, camera_
 from fgrecon.core.observation import Observation
 from fgrecon.core.result_fields import Status
 from fgrecon.solve.solve_settings import STATUS
-
-Array = NDArray[np.float64]
 
 
 def weaknesses(

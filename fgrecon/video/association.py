@@ -21,14 +21,12 @@ from itertools import count
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.compiled import assignment
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, box_overlaps, transform
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

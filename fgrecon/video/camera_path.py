@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import rigid
 from fgrecon.io.poses import CameraPoses
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.records import FrameRecord
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

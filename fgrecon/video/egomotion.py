@@ -21,10 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.native import native
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import exponential, rigid
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

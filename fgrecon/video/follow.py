@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.evidence import Evidence
@@ -25,8 +25,6 @@ from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.video.association import Association, Candidate, ground_contact
 from fgrecon.video.camera_path import CameraPath
 from fgrecon.video.records import FrameRecord, Sighting
-
-Array = NDArray[np.float64]
 
 DEFAULT_KIND = "Car"
 """What a vehicle is where nothing says."""

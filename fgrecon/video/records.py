@@ -13,14 +13,12 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.observation import Observation
 from fgrecon.core.text import whole_text
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.video.egomotion import CameraMotion
-
-Array = NDArray[np.float64]
 
 FORMAT = "fgrecon.video/4"
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import Reconstruction
@@ -17,8 +17,6 @@ from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.export.video_frames import FRAME_FORMAT
 from fgrecon.io.kitti_files import UNKNOWN, Objects, TrackedObjects, format_tracking
 from fgrecon.video.follow import DEFAULT_KIND, TrackedFrame
-
-Array = NDArray[np.float64]
 
 _ARRAYS = frozenset(["pose_covariance", "world_T_object"])  # of a row; None where they are not known
 

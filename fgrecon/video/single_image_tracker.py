@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.observation import Observation
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.pipeline import reconstruct
-
-Array = NDArray[np.float64]
 
 
 class SingleImageTracker:

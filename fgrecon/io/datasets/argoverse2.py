@@ -14,15 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.datasets.columns import Columns, read_columns
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
 from fgrecon.io.json_fields import within
-
-Array = NDArray[np.float64]
 
 _POSES, _CALIBRATION = "city_SE3_egovehicle.feather", "calibration"
 _LIDAR = "up_lidar"

@@ -12,15 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import AHEAD, quaternion_pose
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
 from fgrecon.io.json_fields import Fields, read_json, within
-
-Array = NDArray[np.float64]
 
 _LABELS, _ENDING = "gtBbox3d", "_gtBbox3d.json"
 _IMAGES, _IMAGE_ENDING = "leftImg8bit", "_leftImg8bit.png"

@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import quaternion_pose
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import box_corners, box_outline
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
@@ -28,7 +28,6 @@ from fgrecon.io.kitti_calibration import KittiCalibration
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 UNKNOWN = -1

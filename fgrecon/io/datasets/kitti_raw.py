@@ -13,16 +13,14 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import rigid
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
 from fgrecon.io.datasets.lines import named_lines, named_matrix, numbers
 from fgrecon.io.files import read_text
 from fgrecon.io.kitti_calibration import read_calibration
-
-Array = NDArray[np.float64]
 
 _CAMERAS = {f"image_{i:02d}": f"P{i}" for i in range(4)}
 _CALIB, _TRACKLETS = "calib_cam_to_cam.txt", "tracklet_labels.xml"

@@ -6,12 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import read_text
-
-Array = NDArray[np.float64]
 
 
 def named_lines(path: Path) -> Mapping[str, list[str]]:

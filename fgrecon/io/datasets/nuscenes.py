@@ -13,16 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.nuscenes import NuScenesTables, is_nuscenes, open_nuscenes, pose_of
 from fgrecon.io.nuscenes_detections import read_boxes_by_sample
-
-Array = NDArray[np.float64]
 
 _NEEDED = "scene", "sample", "sample_annotation", "instance", "category"
 _TRUCKSCENES = "ego_motion_chassis"

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
@@ -23,8 +23,6 @@ from fgrecon.core.geometry import AHEAD, rigid
 from fgrecon.io.datasets.columns import Columns, read_columns
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox, unpacked_images
 from fgrecon.io.json_fields import within
-
-Array = NDArray[np.float64]
 
 _IMAGES, _CAMERAS, _BOXES, _POSES = "camera_image", "camera_calibration", "lidar_box", "vehicle_pose"
 _TIME, _CAMERA = "key.frame_timestamp_micros", "key.camera_name"

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.checks import RIGID, as_rigid
 from fgrecon.core.errors import InvalidInputError
@@ -23,8 +23,6 @@ from fgrecon.core.geometry import box_around, quaternion_pose
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
 from fgrecon.io.json_fields import Fields, numbers, read_json, within
 from fgrecon.io.poses import CameraPoses
-
-Array = NDArray[np.float64]
 
 _LISTS = "trainval-*-*.json"  # of frames, sequences and drives; full or mini
 _LIDAR = "velodyne"

@@ -18,8 +18,8 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.errors import InvalidInputError
@@ -36,8 +36,6 @@ from fgrecon.io.export.image_info import (
     track_of,
 )
 from fgrecon.io.export.results import NamedResult
-
-Array = NDArray[np.float64]
 
 _CVAT_CORNERS = ("tl1", "bl1", "tr1", "br1", "tl2", "bl2", "tr2", "br2")
 _CVAT_ORDER = (7, 5, 6, 4, 3, 1, 2, 0)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import imaged, points_ahead
 from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
@@ -24,7 +24,6 @@ EVERY = "*"
 """Name of what holds for every image that is not named."""
 
 VISIBLE = 0.5
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.core.geometry import transform
@@ -47,8 +47,6 @@ _CUBE, _LINES, _TEXT, _DELETE_ALL = 1, 5, 9, 3  # of `visualization_msgs/Marker`
 _COLOUR = {**dict(zip("rgb", (value / 255 for value in SURFACE), strict=True)), "a": 1.0}
 _FAINT = _COLOUR | {"a": 0.3}
 _STILL = {"position": plain_vector([0, 0, 0]), "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,16 +17,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, image_box, info_of, quaternion, score, track_of
 from fgrecon.io.export.label_files import one_image
 from fgrecon.io.export.protocol_buffer import field
 from fgrecon.io.export.results import NamedResult
-
-Array = NDArray[np.float64]
 
 _VEHICLE = 1  # Waymo's `TYPE_VEHICLE`
 _META = {"use_camera": True, "use_lidar": False, "use_radar": False, "use_map": False, "use_external": True}

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import one_word
@@ -22,7 +23,6 @@ from fgrecon.io.json_fields import Fields, numbers
 from fgrecon.io.keypoints.names import Names, order_of
 from fgrecon.io.keypoints.network_results import PROBABLE
 
-Array = NDArray[np.float64]
 Record = dict[str, Any]
 
 

@@ -20,15 +20,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
 from fgrecon.core.checks import array_of
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import one_word
 from fgrecon.io.keypoints.names import Names, order_of
 
-Array = NDArray[np.float64]
 _Records = Iterator[tuple[dict[str, Any], str]]
 PROBABLE = 0.5
 """Confidence of a point that is as likely right as wrong where networks have learnt probabilities."""

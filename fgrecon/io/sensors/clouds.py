@@ -25,14 +25,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import FgreconError, InvalidInputError, MissingPackageError
 from fgrecon.io.arrays import read_arrays, read_limited, read_lone_array
 from fgrecon.io.datasets.columns import Columns
-
-Array = NDArray[np.float64]
 
 METRES, CENTIMETRES = "points", "points_cm"
 """Names of the arrays in an npz file."""

@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_path
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.io.arrays import read_arrays, read_limited, read_lone_array
 from fgrecon.io.sensors.clouds import SENSORS
-
-Array = NDArray[np.float64]
 
 KITTI_PER_METRE = 256.0
 """What a metre is in KITTI's depth maps, PNG files of 16 bits."""

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_path, as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import rigid, transform
@@ -41,9 +42,6 @@ def lidar_place(cloud: Path, image: Path, camera: CameraSource, pose: Path | Non
         if path.suffix == ".txt":
             return read_calibration(path)
     return calibration_beside(image)
-
-
-Array = NDArray[np.float64]
 
 
 def read_points(path: str | Path, camera_T_points: ArrayLike | KittiCalibration | None = None) -> Array:

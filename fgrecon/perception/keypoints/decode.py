@@ -8,10 +8,9 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.detection import half_around
 from fgrecon.perception.keypoints.layout import SETTINGS
-
-Array = NDArray[np.float64]
 
 _TINY = 1e-6
 

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_finite, as_rows
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
@@ -38,7 +39,6 @@ from fgrecon.perception.keypoints.network_file import WITHOUT_STREET, check_arra
 from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, runs_on, threads_of_networks
 
-Array = NDArray[np.float64]
 S = TypeVar("S", KNetSettings, RefineSettings)
 
 REACH = 0.1

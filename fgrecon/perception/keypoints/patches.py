@@ -6,10 +6,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.perception.keypoints.layout import PATCH, SETTINGS
 from fgrecon.perception.keypoints.sessions import Network
-
-Array = NDArray[np.float64]
 
 _WINDOW = SETTINGS.fusion_window_px
 

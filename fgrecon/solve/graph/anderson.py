@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.native import native
+from fgrecon.core.arrays import Array
 from fgrecon.solve.graph.graph_settings import SETTINGS
-
-Array = NDArray[np.float64]
 
 NEWTON = SETTINGS.newton
 

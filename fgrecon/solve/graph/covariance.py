@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from factors.keys import decode_key
 from factors.system import CompiledSystem
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.graph import Graph
 from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
-
-Array = NDArray[np.float64]
 
 _SMALL = 128
 """Numbers of variables up to which, without the kernels, all covariances at once are quicker than by GTSAM."""

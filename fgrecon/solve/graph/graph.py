@@ -15,7 +15,6 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors import check_in_front
 from factors.guard import CompiledFactor
@@ -24,6 +23,7 @@ from factors.mixture import Form
 from factors.sensed import SensedFactor
 from factors.surface_points import SurfacePointsFactor
 from factors.system import CompiledSystem, MixedSystem, Point, system_of
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
@@ -34,7 +34,6 @@ from fgrecon.solve.proposals.problem import Problem
 
 __all__ = ["EXTRA", "Graph", "GraphObservation", "State", "Terms", "common_share"]
 
-Array = NDArray[np.float64]
 
 EXTRA, GROUND = "extra", "ground"
 """Energy term of the caller's own factors."""

@@ -15,13 +15,11 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import turn_between
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.graph_settings import SETTINGS
-
-Array = NDArray[np.float64]
 
 
 def is_flipped(first: Array, second: Array) -> bool:

@@ -16,7 +16,6 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors import F, LinearShape, ObservationRows, ProjectionKernel, X, observation_factor, term_factor
 from factors.box import projected_extents
@@ -25,13 +24,12 @@ from factors.keypoint_rows import SMALLEST_WEIGHT
 from factors.mixture import Form
 from factors.native import native
 from factors.system import packed_pose
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.robust import StrategyName
 from fgrecon.solve.graph.vehicle_part import VehiclePart
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.terms import Hypotheses
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

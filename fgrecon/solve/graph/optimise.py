@@ -23,17 +23,15 @@ from functools import partial
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.mixture import Form
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.solve.graph.graph import Graph, State
 from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.newton import Descent, Step
 from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.solver import minimise
-
-Array = NDArray[np.float64]
 
 REWEIGHTING = SETTINGS.reweighting
 

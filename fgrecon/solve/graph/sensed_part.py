@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.distance_field import DistanceField
 from factors.placed_points import PlacedPointsFactor
@@ -15,6 +14,7 @@ from factors.sensed import SensedFactor
 from factors.silhouette import SilhouetteFactor, SilhouetteOdds, SilhouetteRows
 from factors.surface_points import NOTHING_SHARED, SurfacePointsFactor
 from factors.vehicle_range import RangeFactor, RangeRows
+from fgrecon.core.arrays import Array
 from fgrecon.core.evidence import Range
 from fgrecon.core.mask import Mask, joined
 from fgrecon.solve.graph.graph_settings import SETTINGS
@@ -23,7 +23,6 @@ from fgrecon.solve.graph.shared_errors import SharedErrors
 from fgrecon.solve.proposals.search_settings import SETTINGS as SEARCH
 from fgrecon.solve.proposals.unsure_place import UnsurePlace
 
-Array = NDArray[np.float64]
 MASKS = SETTINGS.masks
 
 

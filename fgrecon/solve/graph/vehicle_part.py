@@ -29,10 +29,10 @@ from factors.native import native
 from factors.shape_factor import ShapeContext, ShapeTerm, shape_terms
 from factors.shape_prior import spread_prior
 from factors.shape_terms import STACKED, ShapeTerms
+from fgrecon.core.arrays import Array
 from fgrecon.core.options import Options
 from fgrecon.solve.vehicle.model import VehicleModel
 
-Array = NDArray[np.float64]
 Terms = Mapping[str, list[gtsam.NonlinearFactor]]
 """Factors by the name of their energy term."""
 

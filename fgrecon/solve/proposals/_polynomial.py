@@ -27,9 +27,9 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.compiled import lapack, pivots_of_qr
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 PAIRS: Index = np.array(list(combinations_with_replacement(range(4), 2)), dtype=np.intp)

@@ -29,14 +29,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from factors.native import native
+from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.solve.proposals import _polynomial
-
-Array = NDArray[np.float64]
 
 _EXPLAINED = 1e-9  # smallest relative gain over an object at infinity that is no rounding error
 _THICKNESS = 1e-6  # spread across a line, relative to that along it, up to which points count as collinear

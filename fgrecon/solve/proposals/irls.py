@@ -16,15 +16,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import cross, exponential, pixel_jacobian, rigid
 from fgrecon.solve.proposals.aspnp import aspnp
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import PoseEnergy
 from fgrecon.solve.proposals.terms import Hypotheses
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.surface_points import PointRows, Shared
 from fgrecon.solve.proposals.point_term import PointTerm
@@ -20,8 +19,6 @@ from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.starts import at_azimuths, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.proposals.unsure_place import UnsurePlace
-
-Array = NDArray[np.float64]
 
 POINTS = SETTINGS.points
 

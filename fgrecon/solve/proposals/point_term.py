@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from factors.surface_patches import SurfacePatches
 from factors.surface_points import PointRows, Shared
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.depth_map import DepthMap, pixel_rays
 from fgrecon.core.evidence import Evidence, Points
@@ -24,8 +25,6 @@ from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import Hypotheses, Quadratic
 from fgrecon.solve.proposals.unsure_place import UnsurePlace
 from fgrecon.solve.vehicle.model import VehicleModel
-
-Array = NDArray[np.float64]
 
 POINTS = SETTINGS.points
 

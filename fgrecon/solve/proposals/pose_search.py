@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.history import Deferred
@@ -25,8 +25,6 @@ from fgrecon.solve.proposals.search import PoseEnergy, search
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.starts import all_starts
 from fgrecon.solve.proposals.terms import Hypotheses
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

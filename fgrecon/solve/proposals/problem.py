@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.box import BoxRows
 from factors.keypoint_rows import KeypointRows, whiteners
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.observation import Observation
@@ -20,8 +20,6 @@ from fgrecon.solve.proposals.search import PoseEnergy
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import BoxTerm, DirectionTerm, GroundTerm, KeypointTerm, SizeTerm
 from fgrecon.solve.vehicle.model import VehicleModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import exponential
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.proposals.problem import Problem
@@ -24,8 +24,6 @@ from fgrecon.solve.proposals.search import PoseEnergy, search
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.starts import at_azimuths, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
-
-Array = NDArray[np.float64]
 
 RESTARTS = SETTINGS.restarts
 

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.surface_points import Shared
+from fgrecon.core.arrays import Array
 from fgrecon.core.depth_map import DepthCalibration, DepthMap
 from fgrecon.solve.proposals.search_settings import SETTINGS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

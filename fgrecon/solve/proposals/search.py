@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.native import native
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.geometry import exponential
 from fgrecon.core.robust import StrategyName
@@ -27,8 +28,6 @@ from fgrecon.solve.proposals.terms import (
     SizeTerm,
 )
 from fgrecon.solve.vehicle.visibility import VisibilityTable
-
-Array = NDArray[np.float64]
 
 _Summand = PointTerm | BoxTerm | SizeTerm | GroundTerm | DirectionTerm | CoefficientTerm
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from factors.native import native
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
@@ -16,8 +17,6 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.vehicle.model import VehicleModel
-
-Array = NDArray[np.float64]
 
 
 def all_starts(problem: Problem, initial: Box3D | float | Array | None = None) -> Hypotheses:

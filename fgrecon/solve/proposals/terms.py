@@ -21,14 +21,13 @@ from factors.box import BoxRows, extents_by_points, soft_extents
 from factors.ground import GroundRows
 from factors.keypoint_rows import KeypointRows
 from factors.projection import by_pose, pixel_jacobian, project
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import MIN_DEPTH, Ground
 from fgrecon.core.detection import at_direction
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.robust import Evidence, RobustStrategy
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.proposals.search_settings import SETTINGS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.evidence import Points
 from fgrecon.solve.proposals.search_settings import SETTINGS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

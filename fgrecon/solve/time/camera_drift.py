@@ -6,11 +6,9 @@ from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.solve.time.time_settings import SETTINGS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ from typing import TypeVar
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.half_turn import HALF_TURN, flipped_observation
 from fgrecon.core.observation import Observation
@@ -23,7 +23,6 @@ from fgrecon.solve.time.frame import Frame, PosedImage
 from fgrecon.solve.time.heading_filter import another_side, direction_evidence, earlier_beliefs, pose_evidence
 from fgrecon.solve.time.time_settings import SETTINGS
 
-Array = NDArray[np.float64]
 Image = TypeVar("Image", bound=PosedImage)
 
 

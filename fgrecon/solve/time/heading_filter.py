@@ -26,14 +26,12 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.detection import at_direction, facing_probability, half_around
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.solve.time.time_settings import SETTINGS
-
-Array = NDArray[np.float64]
 
 _BINS = 72
 HEADINGS = 2.0 * np.pi * np.arange(_BINS) / _BINS

@@ -11,18 +11,16 @@ from functools import lru_cache
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.keys import V, X
 from factors.linear import Walk, ZeroPrior
 from factors.losses import Loss, RobustLoss
 from factors.motion import drive_factor, motion_factor
 from factors.noise import diagonal_noise, full_noise
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import MotionModel
 from fgrecon.solve.time.frame import FrameStep
 from fgrecon.solve.time.time_settings import SETTINGS
-
-Array = NDArray[np.float64]
 
 
 def between_terms(

@@ -21,9 +21,9 @@ from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.motion import moved as moved_pose
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.category import MotionModel
 from fgrecon.core.observation import Observation
@@ -37,8 +37,6 @@ from fgrecon.solve.time.heading_choice import choose_headings, image_evidence
 from fgrecon.solve.time.heading_filter import TrackHeading, path_evidence
 from fgrecon.solve.time.time_settings import SETTINGS
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, solve_single, solve_window, thinned
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,10 @@ from itertools import groupby, pairwise
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.keys import V, X, decode_key
 from factors.vehicle_range import range_rate_factor
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import MotionModel
 from fgrecon.core.checks import as_list
 from fgrecon.core.evidence import RangeRate
@@ -45,8 +45,6 @@ from fgrecon.solve.time.frame import Frame
 from fgrecon.solve.time.heading_filter import another_side
 from fgrecon.solve.time.motion_terms import between_terms, velocity_terms
 from fgrecon.solve.time.time_settings import SETTINGS
-
-Array = NDArray[np.float64]
 
 MotionFactors = Callable[[int, int, float, float], Sequence[gtsam.NonlinearFactor]]
 """Numbers of two frames that follow each other, the seconds between them, and what to multiply standard deviations by:

@@ -12,14 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import SizePrior
-
-Array = NDArray[np.float64]
 
 _TIGHT = 0.5  # of the prior's own spread: from there on a size tells one vehicle from another
 _PLAUSIBLE = 4.0  # standard deviations from the prior's sizes up to which it knows such a vehicle

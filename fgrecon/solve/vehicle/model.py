@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
@@ -15,8 +15,6 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior, other_fleets
 from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle, of_fleet
 from fgrecon.solve.vehicle.visibility import VisibilityTable
-
-Array = NDArray[np.float64]
 
 _OUTLINE_DIRECTIONS = 200
 

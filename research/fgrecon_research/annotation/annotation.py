@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D, box_corners
 from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.detection import Detection
@@ -19,8 +20,6 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.kitti_drives import DriveFrame
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon.solve.vehicle.visibility import clearance, occluder
-
-Array = NDArray[np.float64]
 
 # A vehicle fitted to one of its images.
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors import X
 from fgrecon.calibration.selection import Reason
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
@@ -37,8 +37,6 @@ from fgrecon.solve.proposals.starts import from_box3d
 from fgrecon.solve.result import results
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.annotation.annotation import Fit
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

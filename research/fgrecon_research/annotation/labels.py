@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.category import Category
@@ -17,8 +18,6 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.coco_keypoints import LabelledImage, VehicleLabel, VehicleLabels
 from fgrecon_research.annotation.annotation import Annotation
-
-Array = NDArray[np.float64]
 
 
 def vehicle_labels(

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from factors.projection import by_pose
 from fgrecon.calibration.selection import Reason
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.geometry import pixel_jacobian, transform
@@ -27,8 +27,6 @@ from fgrecon.io.kitti_drives import IMAGES_PER_SECOND
 from fgrecon.solve.tracker import Tracker
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.annotation.annotation import Fit
-
-Array = NDArray[np.float64]
 
 _SURE = 0.99  # least probability of the way that a vehicle faces, by all of its images
 

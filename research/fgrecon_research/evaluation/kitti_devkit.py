@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.matching import MINIMUM_OVERLAP, box_overlap, shared_ratio
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_files import Objects
-
-Array = NDArray[np.float64]
 
 
 class Space(StrEnum):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.matching import match_detections
 from fgrecon.calibration.setup import Setup, reconstruct_boxes
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error
@@ -33,8 +34,6 @@ from fgrecon_research.evaluation.boxes_summary import (
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
 from fgrecon_research.evaluation.measures import THRESHOLDS, instances_within
 from fgrecon_research.io.kitti_sets import Defect, Fault, read_detections, read_labels
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,18 +10,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from fgrecon.calibration.labelled_boxes import BoxOutcome
 from fgrecon.calibration.labelled_frames import ReconstructedFrame, ReconstructedVehicle
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, wrap_angle
 from fgrecon.core.point_frames import in_image
 from fgrecon.io.track_file import GroundTruth
-
-Array = NDArray[np.float64]
 
 MEDIAN, CUBOID = "median_depth", "fitted_cuboid"
 """Names of the baselines."""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, matched, wanted
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.metrics import orientation_error
 from fgrecon.core.refined_box import RefinedBox
@@ -29,8 +30,6 @@ from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
 from fgrecon.simulation.sample import disturbed_boxes
 from fgrecon_research.evaluation.boxes_summary import DISTANCES
-
-Array = NDArray[np.float64]
 
 _OVERLAP = 0.5  # in the image, above which a box is a labelled vehicle's
 _WORSE = 5.0  # percent of the distance

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from fgrecon.calibration.labelled_boxes import BoxOutcome, VideoBox
 from fgrecon.calibration.labelled_frames import ReconstructedFrame, found_outcome
 from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.choices import DepthScale
 from fgrecon.core.depth_map import DepthMap
@@ -107,8 +108,6 @@ def _solved(solved: ReconstructedFrame, evidence: Evidence) -> list[BoxOutcome]:
         for vehicle, one in zip(solved.vehicles, found, strict=True)
     ]
 
-
-Array = NDArray[np.float64]
 
 _EVERY = 2  # rows and columns of a depth map that baselines take
 

@@ -11,12 +11,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, SYSTEM, BoxOutcome, VideoBox, View
 from fgrecon.calibration.matching import MINIMUM_OVERLAP
 from fgrecon.calibration.regions import DIMENSIONS
+from fgrecon.core.arrays import Array
 from fgrecon.core.coverage import Reliability, reliability
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import Status
@@ -26,8 +26,6 @@ from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, media
 from fgrecon_research.evaluation.kitti_devkit import Space, overlap
 from fgrecon_research.evaluation.measures import THRESHOLDS
 from fgrecon_research.evaluation.text_table import TextTable, number_or_dash
-
-Array = NDArray[np.float64]
 
 # Whether estimates are as sure as they say: squared errors by their own covariances (NEES).
 #

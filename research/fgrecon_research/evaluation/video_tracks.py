@@ -17,12 +17,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, BoxOutcome, VideoBox, outcome
 from fgrecon.calibration.labelled_frames import ScoredFrame
 from fgrecon.calibration.regions import normalised_squared_error
 from fgrecon.calibration.setup import Setup
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import DegenerateProblemError
@@ -45,8 +45,6 @@ from fgrecon.video.follow import Follower
 from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import FrameRecord, Sighting
 from fgrecon_research.io.drive_sensors import scan_of
-
-Array = NDArray[np.float64]
 
 # The vote: which way a vehicle faces if one merely adds up what the network says of its frames.
 #

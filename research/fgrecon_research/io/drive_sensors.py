@@ -16,8 +16,8 @@ from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Points, StereoPair
 from fgrecon.core.geometry import rigid
@@ -25,8 +25,6 @@ from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.sensors.points import read_points
-
-Array = NDArray[np.float64]
 
 
 class Sensor(StrEnum):

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
@@ -24,8 +24,6 @@ from fgrecon.core.geometry import MIRROR, pixel_jacobian, rigid, transform
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon_research.io.annotations.offsets import robust_offset
 from fgrecon_research.training.priors.apollo79 import Apollo79
-
-Array = NDArray[np.float64]
 
 FEWEST_MARKS = 5
 """Cars with fewer of our keypoints marked are left out, and counted."""

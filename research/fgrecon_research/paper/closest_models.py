@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.vehicle_mesh import VehicleMesh, model_distances
@@ -15,8 +16,6 @@ from fgrecon.solve.pipeline import reconstruct
 from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars
 from fgrecon_research.paper.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, learnt_from_others
 from fgrecon_research.training.priors.apollo79 import DUPLICATE, Apollo79, apollo79_prior
-
-Array = NDArray[np.float64]
 
 CLOSEST_ROWS = ("chance", "mean shape", "keypoints", "Hausdorff", "keypoints+others", "Hausdorff+others")
 """Models by the distance of the prior's mean shape; by the mean distance of the keypoints and by the Hausdorff distance

@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import MIRROR, rigid, yaw_rotation
@@ -39,8 +39,6 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
 from fgrecon.io.catalogue import load_category
 from fgrecon.solve.pipeline import reconstruct
-
-Array = NDArray[np.float64]
 
 # The paper's authors' public release: their 36-point shape prior and two worked images, brought to our conventions.
 #

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import rigid, transform
@@ -32,7 +33,6 @@ from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars, marking_of
 from fgrecon_research.paper.stages import solved_stages
 from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior, apollo79_size_relation
 
-Array = NDArray[np.float64]
 _Result = tuple[Array, list[str]]  # scores (R, 3) of one car, and why rows failed
 
 BASIS = 14

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
@@ -30,8 +31,6 @@ from fgrecon_research.paper.tables import APK_ALPHA, LABELS, PRINTED_APK, PRINTE
 from fgrecon_research.training.keypoints.evaluate import GROUPS, Scored, adjusted, score_marks
 from fgrecon_research.training.keypoints.marks import read_street_marks
 from fgrecon_research.training.keypoints.posed_cars import Progress, no_progress, read_posed_cars
-
-Array = NDArray[np.float64]
 
 _CAMERA_HEIGHT = 1.65  # of KITTI's cameras, metres
 _REGIMES = ("easy", "moderate", "hard")

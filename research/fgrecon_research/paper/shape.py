@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.geometry import transform
@@ -38,8 +38,6 @@ from fgrecon_research.evaluation.measures import THRESHOLDS, orientation_precisi
 from fgrecon_research.evaluation.methods import NO_UPDATES, named_strategy
 from fgrecon_research.training.priors.apollo79 import DUPLICATE, Apollo79
 from fgrecon_research.training.priors.pca import SurfaceSamples, pca_prior
-
-Array = NDArray[np.float64]
 
 STAGES = ("mean, true pose", "shape, true pose", "mean, estimated pose", "pose stage", "shape, pose fixed", "joint")
 """States that are scored.

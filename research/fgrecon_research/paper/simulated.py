@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.matching import match_detections
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
@@ -26,7 +27,6 @@ from fgrecon.simulation.vehicles import Vehicle, yaw_pose
 from fgrecon.solve.vehicle.visibility import TOLERANCE, clearance
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _SOLID = 0.9

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import hausdorff_distance, orientation_error, translation_error
 from fgrecon.core.options import BoxModel, Options
@@ -25,8 +26,6 @@ from fgrecon_research.evaluation.measures import keypoint_error
 from fgrecon_research.evaluation.methods import select
 from fgrecon_research.paper.simulated import SimulatedInstance
 from fgrecon_research.paper.stages import StageEstimate, algorithm1_state, initial_state, noisy_azimuth, stages
-
-Array = NDArray[np.float64]
 
 STAGE_ROWS = ("initialisation", "pose", "sequential", "joint")
 """Rows of Table II: fgrecon, given ground and fleet, after each stage; `sequential` is the shape stage, pose fixed."""

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.geometry import transform
@@ -21,8 +21,6 @@ from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.starts import at_azimuths
 from fgrecon.solve.vehicle.model import VehicleModel
-
-Array = NDArray[np.float64]
 
 AZIMUTH_SIGMA = 8.5
 """Standard deviation of the azimuth that stands in for Mono3D's boxes, degrees: with `AZIMUTH_GROSS` it meets what the

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, statistic_interval
 from fgrecon_research.evaluation.kitti_devkit import REGIMES
 from fgrecon_research.evaluation.measures import THRESHOLDS
 from fgrecon_research.paper.known_shape import KNOWN_SHAPE_ROWS, KnownShapeScores
 from fgrecon_research.paper.simulated_scores import CHAIN_ROWS, STAGE_ROWS, Scores
 
-Array = NDArray[np.float64]
 Cell = Interval | float | None
 
 APK_ALPHA = 0.1

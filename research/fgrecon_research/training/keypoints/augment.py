@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.perception.keypoints.crops import FILL, MARGIN
 from fgrecon_research.training.keypoints.deform import (
@@ -28,7 +29,6 @@ from fgrecon_research.training.keypoints.deform import (
     random_field,
 )
 
-Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
 _TALLEST = 2.2  # times the height above the lamps: a large van beside a saloon

@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.perception.keypoints.crops import MARGIN
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration, logit, sigmoid
 from fgrecon.perception.keypoints.detect import REACH, KeypointCascade
@@ -17,8 +18,6 @@ from fgrecon_research.training.keypoints.dataset import Photographs
 from fgrecon_research.training.keypoints.deform import UNKNOWN_KIND
 from fgrecon_research.training.keypoints.labels import SEEN
 from fgrecon_research.training.keypoints.views import azimuth_weights
-
-Array = NDArray[np.float64]
 
 SCORED = replace(Street(), covered=0.25, block=0.1, stretch=0.0, bend=0.0)
 """Degradation of the samples: less occlusion than in the training, as street cars are, and no deformed cars."""

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.arrays import read_arrays
@@ -35,8 +36,6 @@ _FILES = ("images.npy", "masks.npy", "sizes.npy", "scales.npy")
 _DISTANT = "distant.npz"
 LAST = _FILES[-1]
 """Name of the file that is written last: where it is, all are."""
-
-Array = NDArray[np.float64]
 
 
 def check_prepared(folder: Path) -> bool:

@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
-
-Array = NDArray[np.float64]
 
 # A picture of a car with its labels.
 

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import MIRROR
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.render import Fragments, rasterise
 from fgrecon_research.training.keypoints.labels import ShapeFit, surface_of
 from fgrecon_research.training.keypoints.posed_cars import PosedCar
 
-Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
 _BEHIND = 0.02  # by so much of the car's diagonal a hidden point lies behind what hides it

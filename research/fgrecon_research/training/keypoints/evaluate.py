@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.coverage import Reliability, reliability
 from fgrecon.core.detection import Detection
@@ -20,8 +21,6 @@ from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import REACH, KeypointCascade
 from fgrecon_research.training.keypoints.marks import Mark
 from fgrecon_research.training.keypoints.posed_cars import PosedCar, Progress, no_progress
-
-Array = NDArray[np.float64]
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "photographs": ("photographs",),

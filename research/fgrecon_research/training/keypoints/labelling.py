@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
@@ -40,8 +41,6 @@ from fgrecon_research.training.keypoints.posed_cars import (
 from fgrecon_research.training.keypoints.relabel import Found, relabel_shape, without_bias
 from fgrecon_research.training.keypoints.silhouettes import Outline, contradicted, fit_outlines, read_outline
 from fgrecon_research.training.priors.apollo79 import load_apollo79
-
-Array = NDArray[np.float64]
 
 _BATCH = 32
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
 from fgrecon.core.geometry import MIRROR
 from fgrecon.core.shape_prior import ShapePrior, Surface
@@ -20,8 +21,6 @@ from fgrecon.io.catalogue import load_category
 from fgrecon.solve.vehicle.visibility import clearance, probability
 from fgrecon_research.training.keypoints.posed_cars import PosedCar
 from fgrecon_research.training.priors.apollo79 import Apollo79, mirrored_half
-
-Array = NDArray[np.float64]
 
 SEEN = 0.5
 """A label counts as visible above this probability."""

@@ -25,13 +25,12 @@ from numpy.typing import NDArray
 
 import factors
 from factors import L, LinearShape, M, O, ProjectionKernel, RobustLoss, X
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import MIRROR, turn_between
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon_research.io.annotations.offsets import robust_offset
 from fgrecon_research.training.keypoints.labels import ShapeFit
 from fgrecon_research.training.keypoints.posed_cars import PosedCar
-
-Array = NDArray[np.float64]
 
 TURN_SIGMA = np.deg2rad(5.0)  # of the measured poses
 SHIFT_SIGMA = np.array([0.02, 0.02, 0.06])  # across, down and along the view, in diagonals of the car's box

@@ -13,9 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.integrity import stored
@@ -34,8 +32,6 @@ from fgrecon_research.training.keypoints.labelling import (
 from fgrecon_research.training.keypoints.street_cars import StreetShare, learning
 from fgrecon_research.training.keypoints.train import HeldOut, Training, first_network, train_knet
 from fgrecon_research.training.keypoints.trainer import Display, NoDisplay, load_checkpoint, load_tensors
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import pixel_jacobian
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon_research.training.keypoints.dataset import fill_faces, read_silhouette
@@ -26,8 +27,6 @@ from fgrecon_research.training.keypoints.deform import sampled
 from fgrecon_research.training.keypoints.labels import ShapeFit, surface_of
 from fgrecon_research.training.keypoints.posed_cars import PosedCar
 from fgrecon_research.training.keypoints.relabel import SHIFT_SIGMA, TURN_SIGMA
-
-Array = NDArray[np.float64]
 
 _SIDE = 192  # pixels of the silhouette's longer side
 _PAD = 48  # pixels around it

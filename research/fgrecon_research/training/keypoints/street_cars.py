@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.arrays import read_arrays
@@ -34,8 +35,6 @@ _REAR = 1.3  # rear views are where networks err, and mostly what a camera in tr
 _OTHER = 1.5  # vans and lorries are rare, and look less alike than cars
 _KINDS = {"Car": KINDS.index("car"), "Van": KINDS.index("van"), "Truck": KINDS.index("lorry")}
 _WITHOUT_KEYPOINTS = "Truck"  # a car's keypoints are nowhere on it: it teaches direction and kind
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from fgrecon.core.arrays import Array
 from fgrecon.perception.keypoints.crops import MARGIN
 from fgrecon.perception.keypoints.layout import MEAN, PATCH, SPREAD, Layer, RefineLayout, RefineSettings
 from fgrecon.perception.keypoints.patches import cut_patches
@@ -55,8 +56,6 @@ class RefineNet(nn.Module):  # type: ignore[misc]
         x = ((patches - MEAN) / SPREAD).flatten(1, 2)
         return functional.pixel_shuffle(self.head(self.layers(x)), 2)
 
-
-Array = NDArray[np.float64]
 
 _SEED = 7_000_000  # keeps the samples apart from KNet's
 

@@ -9,14 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.metrics import wrap_angle
 from fgrecon_research.training.keypoints.augment import Sample, Street
 from fgrecon_research.training.keypoints.deform import LabelledView
 
 _BINS = 36
 _TRIES = 12
-
-Array = NDArray[np.float64]
 
 
 class Views(ABC):

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import MIRROR
@@ -21,8 +22,6 @@ from fgrecon.io.arrays import read_arrays
 from fgrecon.io.catalogue import load_category
 from fgrecon.solve.vehicle.conditioning import SizeRelation, express, learn_size_relation
 from fgrecon_research.training.priors.pca import SurfaceSamples, pca_prior
-
-Array = NDArray[np.float64]
 
 # A mesh topology that is exactly mirror-symmetric about z = 0, from one that is so only approximately.
 #

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.size_prior import SizePrior
 
-Array = NDArray[np.float64]
 _SEPARATION = 0.05
 
 

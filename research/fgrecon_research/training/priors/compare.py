@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -34,11 +34,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon_research.training.priors.factorisation import SymmetricSubspace
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fgrecon.core.arrays import Array
 
 _MIRROR = np.diag([1.0, 1.0, -1.0])
 _MEDIAL = np.eye(3)[:, :2]

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
@@ -15,8 +15,6 @@ from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
 from fgrecon_research.io.annotations.annotations import Annotations
 from fgrecon_research.training.priors.canonical_frame import at_ground_level, levelled, metric_scale, metric_stretch
 from fgrecon_research.training.priors.nrsfm import NrsfmOptions, NrsfmResult, ProgressCallback, fit_nrsfm
-
-Array = NDArray[np.float64]
 
 PROPORTIONS = 0.75
 """Share of the fleet's proportions in those of a learnt mean."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
@@ -24,8 +25,6 @@ from fgrecon.io.keypoints.names import parse_names
 from fgrecon_research.io.annotations.offsets import robust_offset
 from fgrecon_research.training.priors.apollo79 import Apollo79, kept_models, surface_samples
 from fgrecon_research.training.priors.pca import pca_prior
-
-Array = NDArray[np.float64]
 
 SCHEME = "apollo66"
 """The points that were marked."""

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
@@ -37,8 +38,6 @@ from fgrecon_research.training.priors.em_ppca import (
 )
 from fgrecon_research.training.priors.factorisation import SymmetricSubspace, affine_factorisation, metric_upgrade
 from fgrecon_research.training.priors.perspective import draw_nearer, estimate_nearness, without_perspective
-
-Array = NDArray[np.float64]
 
 # How sure a learnt mean shape is: learnt again from other draws of the vehicles.
 #

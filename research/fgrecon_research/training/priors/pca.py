@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.geometry import MIRROR
 from fgrecon.core.shape_prior import ShapePrior, Surface
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

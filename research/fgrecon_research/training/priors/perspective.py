@@ -17,11 +17,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon_research.training.priors.em_ppca import Data, EmState, expected_shapes
 
-Array = NDArray[np.float64]
 _LEAST_FACTOR = 0.5
 """Bound on 1 + d zeta for points of mistaken cameras."""
 
