@@ -12,6 +12,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 KERNELS = (
     "factors/_rows.pyx",
     "factors/_points.pyx",
+    "factors/_silhouette.pyx",
     "factors/_energy.pyx",
     "factors/_shape.pyx",
     "fgrecon/solve/_native.pyx",

@@ -9,6 +9,11 @@ cdef struct View:  # of a vehicle from a sensor, in the object frame
     double scaled[3]  # the sensor there
 
 
+cdef void mixed(
+    int form, double right, double wrong, double weight, double square, double *stretch, double *bend, double *loss
+) noexcept nogil
+
+
 cdef class Term:
     cdef readonly int coefficients
     cdef double add(

@@ -38,6 +38,28 @@ cdef enum Form:  # as `factors.mixture.Form`
     MAJORISED = 3
 
 
+cdef void mixed(
+    int form, double right, double wrong, double weight, double square, double *stretch, double *bend, double *loss
+) noexcept nogil:
+    """Factors on a residual and on its derivative, and its loss (`factors.mixture.robust_rows`).
+
+    Args:
+        weight: What `Form.WEIGHTED` has.
+        square: The squared residual.
+    """
+    cdef double inlier = right * exp(-0.5 * square), rest, own = inlier / (inlier + wrong)
+    loss[0] = log((right + wrong) / (inlier + wrong))
+    if form == WEIGHTED:
+        stretch[0] = bend[0] = sqrt(weight)
+    elif form == LOSS:
+        stretch[0] = bend[0] = sqrt(2.0 * loss[0] / square) if square > 0.0 else sqrt(own)
+    elif form == MAJORISED:
+        stretch[0] = bend[0] = sqrt(own)
+    else:
+        rest = sqrt(max(1.0 - (1.0 - own) * square, STIFF))
+        stretch[0], bend[0] = sqrt(own) / rest, sqrt(own) * rest
+
+
 cdef class Term:
     """What beside the keypoints has a share in the energy that the search minimises.
 
@@ -499,21 +521,24 @@ cdef class PointSource(Source):
         memcpy(&self.matched_at[12 + N], shared, 2 * sizeof(double))
         self.matches += 1
 
-    cdef void judge(self, const double **at, bint look, double *found) noexcept nogil:
-        cdef const double *shared = self.shared_of(at)
+    cdef void weigh(self, const double **at) noexcept nogil:
+        """Weigh the points, as they are matched."""
         cdef int i
         cdef double local[3]
         cdef double d, inlier
-        if self.matches == 0 or (look and not self.is_near(at[0], at[1], shared)):
-            self.match(at[0], at[1], shared)
         for i in range(self.rows):
             self.weights[i] = 0.0
             if self.right[i] > 0.0:
-                self.points.place(i, at[0], at[0] + 9, shared, local)
+                self.points.place(i, at[0], at[0] + 9, self.shared_of(at), local)
                 d = self.points.off(self.patch[i], local, at[1]) / self.sigma[i]
                 inlier = self.right[i] * exp(-0.5 * d * d)
                 self.weights[i] = inlier / (inlier + self.wrong[i])
-            found[i] = self.weights[i]
+
+    cdef void judge(self, const double **at, bint look, double *found) noexcept nogil:
+        if self.matches == 0 or (look and not self.is_near(at[0], at[1], self.shared_of(at))):
+            self.match(at[0], at[1], self.shared_of(at))
+        self.weigh(at)
+        memcpy(found, &self.weights[0], self.rows * sizeof(double))
         memcpy(found + self.rows, &self.matched_at[12 + self.points.coefficients], 2 * sizeof(double))
 
     cdef double fill(self, const double **at, double *r, double *J) noexcept nogil:
@@ -523,29 +548,16 @@ cdef class PointSource(Source):
         cdef const double *shared = self.shared_of(at)
         cdef int i, k
         cdef double local[3]
-        cdef double d, s, inlier, weight, loss, rest, stretch, bend, energy = 0.0, root = sqrt(self.share)
-        cdef bint first = self.matches == 0
-        if first:
+        cdef double d, loss, stretch, bend, energy = 0.0, root = sqrt(self.share)
+        cdef int form = self.form if J != NULL or self.form == WEIGHTED else LOSS
+        if self.matches == 0:
             self.match(R, x, shared)
+            self.weigh(at)
         for i in range(self.rows):
             self.points.place(i, R, t, shared, local)
             k = self.patch[i]
             d = self.points.off(k, local, x) / self.sigma[i]
-            s = d * d
-            inlier = self.right[i] * exp(-0.5 * s)
-            weight = inlier / (inlier + self.wrong[i])
-            if first:
-                self.weights[i] = weight
-            loss = log((self.right[i] + self.wrong[i]) / (inlier + self.wrong[i]))
-            if self.form == WEIGHTED:
-                stretch = bend = sqrt(self.weights[i] / self.common)
-            elif J == NULL or self.form == LOSS:
-                stretch = bend = sqrt(2.0 * loss / s) if s > 0.0 else sqrt(weight)
-            elif self.form == MAJORISED:
-                stretch = bend = sqrt(weight)
-            else:
-                rest = sqrt(max(1.0 - (1.0 - weight) * s, STIFF))
-                stretch, bend = sqrt(weight) / rest, sqrt(weight) * rest
+            mixed(form, self.right[i], self.wrong[i], self.weights[i] / self.common, d * d, &stretch, &bend, &loss)
             energy += loss
             r[i] = root * stretch * d
             if J != NULL and bend != 0.0:

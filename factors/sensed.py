@@ -87,6 +87,8 @@ class SensedFactor:
     def tell(self, form: Form, common_factor: float = 1.0) -> None:
         """Set the form, and by how much less it says with `Form.WEIGHTED`."""
         self.form, self.common_factor = form, common_factor
+        if self._source is not None:
+            self._source.form, self._source.common = int(form), common_factor
 
     def energy(self, values: gtsam.Values) -> float:
         """The energy at the values, nats; what is set stays as it is."""

@@ -12,8 +12,9 @@ What is outside the image, or about where something hides the vehicle, says noth
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cached_property
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -23,6 +24,7 @@ from factors.arrays import Array
 from factors.distance_field import DistanceField
 from factors.guard import Evaluation
 from factors.mixture import mixture
+from factors.native import native
 from factors.projection import LEAST_DEPTH, by_pose, pixel_jacobian, project
 from factors.sensed import SensedFactor
 
@@ -55,6 +57,8 @@ class SilhouetteRows:
 
     def match(self, rotation: Array, translation: Array, coefficients: Array) -> tuple[NDArray[np.intp], Array]:
         """The farthest vertices (M,) in the directions, and which rows (2 M,) say something, as 1 or 0."""
+        if self.compiled is not None:
+            return self.compiled.match(rotation, translation, coefficients)
         vertices = self.mean + np.tensordot(coefficients, self.basis, axes=1)
         pixels, _, depths = project(self.matrix, rotation, translation, vertices)
         farthest = (pixels @ self.directions).argmax(axis=0)
@@ -64,6 +68,34 @@ class SilhouetteRows:
         says[first], says[count:] = self._says(pixels[farthest])[first], self._mask_says
         says[np.tile(depths[farthest] <= LEAST_DEPTH, 2)] = 0.0
         return farthest, says
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What it is made of; another process compiles it again."""
+        return {name: value for name, value in vars(self).items() if name != "compiled"}
+
+    @property
+    def kernel(self) -> Any:
+        """The module of the compiled rows, or None."""
+        return native("factors._silhouette")
+
+    @cached_property
+    def compiled(self) -> Any:
+        """The same rows compiled (`factors._silhouette.Silhouette`); None where there is no kernel."""
+        if self.kernel is None:
+            return None
+        field, hides = ((one.corner, one.distance) if one is not None else None for one in (self.field, self.hides))
+        return self.kernel.Silhouette(
+            field,
+            hides,
+            np.ascontiguousarray(self.matrix, dtype=np.float64),
+            self.image_size,
+            np.ascontiguousarray(self.mean),
+            np.ascontiguousarray(self.basis).reshape(len(self.basis), -1),
+            np.ascontiguousarray(self.directions.T),
+            np.ascontiguousarray(self.farthest),
+            self.sigma,
+            astuple(self.odds),
+        )
 
     @cached_property
     def _mask_says(self) -> Array:
@@ -87,6 +119,8 @@ class SilhouetteRows:
 
         By a turn about the object's axes, a shift along them, and the coefficients.
         """
+        if self.compiled is not None:
+            return self.compiled.distances(vertices, rotation, translation, coefficients, want)
         basis = self.basis[:, vertices]
         points = self.mean[vertices] + np.tensordot(coefficients, basis, axes=1)
         pixels, camera, _ = project(self.matrix, rotation, translation, points)
@@ -125,16 +159,27 @@ class SilhouetteFactor(SensedFactor):
         """Bind it to variables by their keys, or to constants: camera_T_object (4, 4), lambda (N,)."""
         super().__init__(pose, coefficients, len(rows.basis), 2 * rows.directions.shape[1])
         self.rows, self._share_of_image = rows, share
-        self._vertices = np.zeros(0, dtype=np.intp)
-        self._says = self.weights = np.zeros(0)
+        if rows.compiled is not None:
+            self._source = rows.kernel.SilhouetteSource(rows.compiled, share)
+        self._matched: tuple[NDArray[np.intp], Array] | None = None  # vertices, and which rows say something
+        self.weights = np.zeros(0)
 
     def look(self, values: gtsam.Values, *, hold: bool = False) -> None:
         """Find the outline's vertices at the values, and weigh them."""
         state = self.state(values)
-        if not (hold and len(self._says)):
-            self._vertices, self._says = self.rows.match(*state)
-        off, _ = self.rows.distances(self._vertices, *state, want=False)
-        self.weights, _ = mixture(*self.rows.densities(self._says), np.square(off))
+        if self._source is not None:
+            pose = np.concatenate([state[0].ravel(), state[1]])
+            self.judged(self._source.look(pose, np.ascontiguousarray(state[2]), not hold))
+            return
+        if self._matched is None or not hold:
+            self._matched = self.rows.match(*state)
+        vertices, says = self._matched
+        off, _ = self.rows.distances(vertices, *state, want=False)
+        self.weights, _ = mixture(*self.rows.densities(says), np.square(off))
+
+    def judged(self, found: Array) -> None:
+        """Take over the weights."""
+        self.weights = found
 
     def energy(self, values: gtsam.Values) -> float:
         """The energy at the values with the vertices of their own, nats; what is set stays as it is."""
@@ -146,8 +191,11 @@ class SilhouetteFactor(SensedFactor):
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         """The rows at the values."""
-        if not len(self._says):
+        if not len(self.weights):
             self.look(values)
-        off, jacobian = self.rows.distances(self._vertices, *self.state(values), want=want_jacobian)
-        share = self._share_of_image * self.rows.share(self._says)
-        return self._robust(self.weights, self.rows.densities(self._says), off, jacobian, share=share)
+        matched = self._matched if self._source is None else self._source.matched
+        assert matched is not None
+        vertices, says = matched
+        off, jacobian = self.rows.distances(vertices, *self.state(values), want=want_jacobian)
+        share = self._share_of_image * self.rows.share(says)
+        return self._robust(self.weights, self.rows.densities(says), off, jacobian, share=share)

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from factors.arrays import Array
 from factors.guard import Evaluation
-from factors.mixture import Form, mixture
+from factors.mixture import mixture
 from factors.native import native
 from factors.sensed import SensedFactor
 from factors.surface_patches import SPACING, SurfacePatches
@@ -375,12 +375,6 @@ class SurfacePointsFactor(SensedFactor):
     def points(self) -> Array:
         """(M, 3) the points in the camera's frame, by what they share where they were looked at last."""
         return self.rows.placed(self._shares)
-
-    def tell(self, form: Form, common_factor: float = 1.0) -> None:
-        """Set the form, and by how much less the points say with `Form.WEIGHTED`."""
-        super().tell(form, common_factor)
-        if self._source is not None:
-            self._source.form, self._source.common = int(form), common_factor
 
     def energy(self, values: gtsam.Values) -> float:
         """The energy at the values with the patches of their own, nats; what is set stays as it is."""

@@ -12,6 +12,7 @@ from gtsam.utils.numerical_derivative import numericalDerivative11
 from factors import L, X
 from factors.distance_field import DistanceField
 from factors.mixture import Form
+from factors.native import native
 from factors.silhouette import SilhouetteFactor, SilhouetteOdds, SilhouetteRows
 from tests.factors.test_surface_points import cuboid
 
@@ -112,3 +113,67 @@ def test_what_is_hidden_or_outside_says_nothing(rows: SilhouetteRows) -> None:
     _, cut = replace(rows, image_size=(int(corners[:, 0].mean()), 240)).match(*state)
     assert 0 < cut.sum() < says.sum()
     assert len(vertices) == 32
+
+
+@pytest.fixture(name="hidden", params=[False, True])
+def _hidden(request: pytest.FixtureRequest, rows: SilhouetteRows) -> SilhouetteRows:
+    """The mask alone, and with something before a half of it."""
+    middle = outline(POSE)[:, 0].mean()
+    corners = np.array([[0.0, 0.0], [middle, 0.0], [middle, 239.0], [0.0, 239.0]])
+    return replace(rows, hides=field_of(corners) if request.param else None)
+
+
+def plain(rows: SilhouetteRows) -> SilhouetteRows:
+    """The same by numpy."""
+    other = replace(rows)
+    other.__dict__["compiled"] = None
+    return other
+
+
+compiled = pytest.mark.skipif(native("factors._silhouette") is None, reason="no compiled kernel")
+
+
+@compiled
+def test_the_compiled_rows_are_those_of_numpy(hidden: SilhouetteRows) -> None:
+    rng = np.random.default_rng(2)
+    for size in (0.05, 0.2, 2.0):  # the last is behind the camera at times, and far off the field
+        for _ in range(5):
+            pose = POSE.retract(rng.normal(0.0, size, 6))
+            state = pose.rotation().matrix(), pose.translation(), rng.normal(0.0, 1.0, 2)
+            (vertices, says), (others, other_says) = hidden.match(*state), plain(hidden).match(*state)
+            assert (vertices == others).all()
+            assert (says == other_says).all()
+            both = (rows.distances(vertices, *state, want=True) for rows in (hidden, plain(hidden)))
+            for one, other in zip(*both, strict=True):
+                assert one == pytest.approx(other, rel=1e-9, abs=1e-9)
+
+
+@compiled
+@pytest.mark.parametrize("form", [*Form])
+@pytest.mark.parametrize("looked", [True, False])
+def test_the_compiled_rows_of_a_graph_are_those_of_the_callback(
+    hidden: SilhouetteRows, form: Form, looked: bool
+) -> None:
+    callback, numpy = (SilhouetteFactor(rows, X(0, 0), L(0), 0.5) for rows in (hidden, plain(hidden)))
+    values = at(CHANGE)
+    factor = callback.factor()
+    assert callback.judges
+    assert not numpy.judges
+    for one in (callback, numpy):
+        one.tell(form, 4.0)
+        if looked:
+            one.look(at(CHANGE / 2.0))
+            one.look(values, hold=True)
+    pose = values.atPose3(X(0, 0)).matrix()
+    state = [np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]]), values.atVector(L(0))]
+    residual, jacobian = np.empty(64), np.zeros((64, 8))
+    energy = factor.compiled.source.evaluate(state, residual, jacobian)
+    expected, by = numpy(values, want_jacobian=True)
+    assert residual == pytest.approx(expected, abs=1e-9)
+    if form is not Form.LOSS:  # which has no derivatives
+        assert jacobian == pytest.approx(by, rel=1e-8, abs=1e-8)
+    if form is not Form.WEIGHTED:
+        assert energy == pytest.approx(numpy.error(values))
+    assert callback(values, want_jacobian=False)[0] == pytest.approx(numpy(values, want_jacobian=False)[0], abs=1e-9)
+    assert callback.weights == pytest.approx(numpy.weights, abs=1e-12)
+    assert callback.energy(values) == pytest.approx(numpy.energy(values))
