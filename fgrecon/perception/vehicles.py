@@ -23,7 +23,7 @@ from fgrecon.io.integrity import check_hash, listed
 from fgrecon.io.isolated import Isolated
 from fgrecon.perception.keypoints.decode import sigmoid
 from fgrecon.perception.keypoints.detect import as_rgb8
-from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session, runs_on, threads_of_networks
+from fgrecon.perception.keypoints.sessions import Network, open_session, runs_on, threads_of_networks
 
 INPUT = "image"
 """Name of the network's input: (1, 3, H, W) RGB from 0 to 1, less a mean; H and W are multiples of 32, from 64."""
@@ -142,27 +142,21 @@ class NanodetVehicleDetector:
     Scores are the probability that the box overlaps a car's by more than half, as on KITTI's images.
 
     Attributes:
-        runtime: What runs it: "opencv" or "onnx". Boxes are the same to 0.01 pixels.
-        device: Where: `cpu`, or the given one where ONNX Runtime has it.
+        device: Where it runs: `cpu`, or the given one where ONNX Runtime has it.
     """
 
-    def __init__(self, weights: str | Path | None = None, *, runtime: str = "auto", device: str = "cpu") -> None:
+    def __init__(self, weights: str | Path | None = None, *, device: str = "cpu") -> None:
         """Load it.
 
         Args:
             weights: ONNX file by `fgrecon vehicles convert`; None for the one that comes with fgrecon.
-            runtime: What runs the network: "opencv"; "onnx", which is ONNX Runtime, with as many threads as cores are
-                free now, and not more than OpenCV has; or "auto", "onnx" where it is installed.
-
-            device: `cpu`, or that of a GPU, such as `cuda`; the processor where ONNX Runtime has it not.
+            device: `cpu`, with as many threads as cores are free now, and not more than OpenCV has; or that of a GPU,
+                such as `cuda`; the processor where ONNX Runtime has it not.
 
         Raises:
-            InvalidInputError: There is no such file, no network or another one in it, or the runtime is not installed.
+            InvalidInputError: There is no such file, or no network or another one in it.
         """
-        import cv2
-
-        self.runtime = chosen_runtime(runtime, "opencv", packages=["onnxruntime"])
-        self.device = device if self.runtime == "onnx" and runs_on(device) else "cpu"
+        self.device = device if runs_on(device) else "cpu"
         self._path = path = shipped() if weights is None else Path(weights)
         fix = "Give an ONNX file that `fgrecon vehicles convert` wrote."
         if not path.is_file():
@@ -172,10 +166,10 @@ class NanodetVehicleDetector:
             check_hash(path, model)
             if path.name not in listed(path.parent):
                 with Isolated() as child:  # a damaged one can end the process that runs it
-                    child("weights", _try, model, self.runtime)
-            self._network = _network_of(model, self.runtime, self.device)
+                    child("weights", _try, model)
+            self._network = _network_of(model, self.device)
             maps = self._network(np.zeros((1, 3, _LEAST_SIDE, _LEAST_SIDE), np.float32))
-        except (OSError, InvalidInputError, cv2.error) as error:
+        except (OSError, InvalidInputError) as error:
             raise InvalidInputError("weights", str(path), fix) from error
         channels = [found.shape[1] for found in maps]
         if channels != [CHANNELS] * len(STRIDES):
@@ -183,7 +177,7 @@ class NanodetVehicleDetector:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How another process makes it: from the file, which must still be there."""
-        return partial(type(self), runtime=self.runtime, device=self.device), (self._path,)
+        return partial(type(self), device=self.device), (self._path,)
 
     def __call__(self, image: NDArray[Any], *, least_score: float | None = None) -> Vehicles:
         """The cars in an image.
@@ -296,37 +290,20 @@ def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float)
     return np.concatenate(boxes), np.concatenate(scores), np.concatenate(classes)
 
 
-def _network_of(model: bytes, runtime: str, device: str = "cpu") -> Network:
+def _network_of(model: bytes, device: str = "cpu") -> Network:
     import cv2
 
-    if runtime != "onnx":
-        return _on_opencv(model)
     return open_session(model, min(cv2.getNumThreads(), threads_of_networks()), device)
 
 
-def _try(model: bytes, runtime: str) -> None:
+def _try(model: bytes) -> None:
     """Run a network once."""
-    import cv2
-
     try:
-        _network_of(model, runtime)(np.zeros((1, 3, _LEAST_SIDE, _LEAST_SIDE), np.float32))
+        _network_of(model)(np.zeros((1, 3, _LEAST_SIDE, _LEAST_SIDE), np.float32))
     except InvalidInputError:
         raise
-    except (cv2.error, RuntimeError, ValueError) as error:
+    except (RuntimeError, ValueError) as error:
         raise InvalidInputError("weights", str(error), "Give an ONNX file of a network.") from error
-
-
-def _on_opencv(model: bytes) -> Network:
-    import cv2
-
-    network = cv2.dnn.readNetFromONNX(np.frombuffer(model, np.uint8))
-    names = network.getUnconnectedOutLayersNames()
-
-    def run(blob: NDArray[Any]) -> Sequence[NDArray[np.float32]]:
-        network.setInput(blob, INPUT)
-        return network.forward(names)
-
-    return run
 
 
 def suppress(boxes: Array, scores: Array, overlap: float) -> NDArray[np.int64]:

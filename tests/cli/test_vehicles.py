@@ -61,7 +61,8 @@ def test_one_source_of_boxes_at_a_time(images, command, other):
 
 
 def test_a_keypoint_file_is_not_searched(images):
-    done = run("reconstruct", images / "keypoints.json", "--detect")
+    (file := images / "keypoints.json").write_text("[]")
+    done = run("reconstruct", file, "--detect")
     assert isinstance(done.exception, InvalidInputError)
     assert done.exception.field == "detect"
 

@@ -10,11 +10,11 @@ from safetensors import safe_open
 
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.io.catalogue import load_prior
-from fgrecon.perception.keypoints import sessions
+from fgrecon.perception.keypoints import detect, sessions
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.layout import KNetSettings, RefineSettings
 from fgrecon.perception.keypoints.network_file import save_weights
-from fgrecon.perception.keypoints.sessions import at_most, chosen_runtime, open_session, runs_on, threads_of_networks
+from fgrecon.perception.keypoints.sessions import at_most, open_session, runs_on, threads_of_networks
 from fgrecon.simulation.demo import demo_scene
 from tests.perception.untrained import untrained
 
@@ -23,15 +23,6 @@ torch = pytest.importorskip("torch")
 from safetensors.torch import save  # noqa: E402
 
 from fgrecon.perception.keypoints import on_torch  # noqa: E402
-
-NEEDS = ("onnx", "onnxruntime")
-
-
-@pytest.fixture(scope="module")
-def runtime():
-    """ONNX Runtime, where it is installed."""
-    for name in NEEDS:
-        pytest.importorskip(name, reason="it is not installed")
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +40,7 @@ def close(found, expected, atol):
 
 
 @pytest.mark.parametrize("refine", [False, True])
-def test_cascades_find_the_same_points(runtime, scenes, refine):
+def test_cascades_find_the_same_points(scenes, refine):
     cascades = [KeypointCascade(refine=refine, runtime=name) for name in ("onnx", "torch")]
     assert [cascade.runtime for cascade in cascades] == ["onnx", "torch"]
     for scene in scenes:
@@ -59,7 +50,7 @@ def test_cascades_find_the_same_points(runtime, scenes, refine):
             close(found, expected, 1e-4)
 
 
-def test_networks_of_other_sizes(runtime, scenes, tmp_path):
+def test_networks_of_other_sizes(scenes, tmp_path):
     stored = untrained(KNetSettings(crop=64, width=8), RefineSettings(crop=96, width=4))
     path = save_weights(tmp_path / "w.safetensors", stored)
     image, box = scenes[0].picture.image, scenes[0].observation.box
@@ -67,30 +58,17 @@ def test_networks_of_other_sizes(runtime, scenes, tmp_path):
     close(found[0], expected[0], 1e-4)
 
 
-def test_no_box_is_no_work(runtime):
+def test_no_box_is_no_work():
     assert KeypointCascade(runtime="onnx")(np.zeros((50, 50, 3), np.uint8), np.zeros((0, 4))) == []
 
 
-def test_the_runtime_is_chosen_by_what_is_installed(monkeypatch):
-    there = {"onnx", "onnxruntime"}
-    monkeypatch.setattr(sessions, "find_spec", lambda name: name if name in there else None)
-    assert chosen_runtime("auto", "torch", packages=NEEDS) == "onnx"
-    assert chosen_runtime("torch", "torch", packages=NEEDS) == "torch"
-    assert chosen_runtime("auto", "torch", packages=NEEDS, able=False) == "torch"
-    with pytest.raises(InvalidInputError, match="another device"):
-        chosen_runtime("onnx", "torch", packages=NEEDS, able=False)
-    there.remove("onnx")
-    assert chosen_runtime("auto", "torch", packages=NEEDS) == "torch"
-    assert chosen_runtime("onnx", "opencv", packages=["onnxruntime"]) == "onnx"
-    with pytest.raises(InvalidInputError, match=r"onnx without onnx\b.*pip install onnx"):
-        chosen_runtime("onnx", "torch", packages=NEEDS)
-    with pytest.raises(InvalidInputError, match="Give auto, onnx or torch"):
+def test_the_runtime_is_chosen_by_what_has_the_device(monkeypatch):
+    with pytest.raises(InvalidInputError, match="Give auto, onnx"):
         KeypointCascade(runtime="caffe")
-
-
-def test_without_onnx_runtime_the_cascade_runs_on_torch(monkeypatch):
-    monkeypatch.setattr(sessions, "find_spec", lambda name: None)
+    monkeypatch.setattr(detect, "runs_on", lambda device: False)
     assert KeypointCascade().runtime == "torch"
+    with pytest.raises(InvalidInputError, match="onnx on cpu"):
+        KeypointCascade(runtime="onnx")
 
 
 def test_torch_is_needed_for_its_runtime_alone(monkeypatch):
@@ -170,12 +148,12 @@ class _Session:
         return ["image"]
 
 
-def test_what_is_no_network_is_refused(runtime):
+def test_what_is_no_network_is_refused():
     with pytest.raises(InvalidInputError, match="model"):
         open_session(b"text", 1)
 
 
-def test_no_more_threads_than_torch_has(runtime, monkeypatch):
+def test_no_more_threads_than_torch_has(monkeypatch):
     asked = []
     monkeypatch.setattr(
         "fgrecon.perception.keypoints.on_onnx.open_session", lambda model, threads, device: asked.append(threads)
@@ -258,7 +236,7 @@ ODD = {
 
 @pytest.mark.parametrize("name", ["onnx", "torch"])
 @pytest.mark.parametrize("odd", ODD)
-def test_weights_of_no_network_are_refused_alike(runtime, tmp_path, name, odd):
+def test_weights_of_no_network_are_refused_alike(tmp_path, name, odd):
     stored = untrained(KNetSettings(crop=32, width=8), RefineSettings(crop=64, width=2))
     path = tmp_path / "w.safetensors"
     parts = {
@@ -290,7 +268,7 @@ def test_weights_of_no_network_are_refused_alike(runtime, tmp_path, name, odd):
         ({}, {"keypoints": 13}, r"weights: .* of size \("),
     ],
 )
-def test_sizes_of_another_network_are_refused_alike(runtime, tmp_path, name, sizes, finer, field):
+def test_sizes_of_another_network_are_refused_alike(tmp_path, name, sizes, finer, field):
     made, near = KNetSettings(crop=32, width=8), RefineSettings(crop=64, width=2)
     sizes, finer = {**made.to_dict(), **sizes}, {**near.to_dict(), **finer}
     path = tmp_path / "w.safetensors"
@@ -300,7 +278,7 @@ def test_sizes_of_another_network_are_refused_alike(runtime, tmp_path, name, siz
 
 
 @pytest.mark.parametrize("name", ["onnx", "torch"])
-def test_a_cascade_goes_to_other_processes(runtime, scenes, name):
+def test_a_cascade_goes_to_other_processes(scenes, name):
     cascade, scene = KeypointCascade(runtime=name), scenes[0]
     there = pickle.loads(pickle.dumps(cascade))
     assert there.runtime == name

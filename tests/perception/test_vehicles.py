@@ -14,7 +14,6 @@ from fgrecon.io.catalogue import load_prior, shipped_class_sizes
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_files import Objects
 from fgrecon.perception import vehicles
-from fgrecon.perception.keypoints import sessions
 from fgrecon.perception.vehicles import DetectionSettings, NanodetVehicleDetector, NetworkPass, shipped, suppress
 from fgrecon.simulation.demo import demo_scene
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
@@ -82,38 +81,14 @@ def test_kinds_of_images(detector):
     assert len(detector(image, least_score=1.0)) == 0
 
 
-@pytest.mark.parametrize("runtime", ["opencv", "onnx"])
-def test_files_that_hold_no_network(tmp_path, runtime):
-    if runtime == "onnx":
-        pytest.importorskip("onnxruntime")
+def test_files_that_hold_no_network(tmp_path):
     (tmp_path / "text.onnx").write_text("text")
     for path in (tmp_path / "absent.onnx", tmp_path / "text.onnx", tmp_path):
         with pytest.raises(InvalidInputError, match="weights"):
-            NanodetVehicleDetector(path, runtime=runtime)
-
-
-@pytest.mark.parametrize("size", [(320, 960), (97, 61)])
-def test_boxes_are_the_same_on_every_runtime(size):
-    pytest.importorskip("onnxruntime", reason="it is not installed")
-    detectors = [NanodetVehicleDetector(runtime=runtime) for runtime in ("opencv", "onnx")]
-    assert [detector.runtime for detector in detectors] == ["opencv", "onnx"]
-    picture = demo_scene(load_prior("car14"), 6).picture.image
-    for image in (picture, cv2.resize(picture, size[::-1])):
-        first, second = (detector(image, least_score=1e-3) for detector in detectors)
-        assert len(first) > 0
-        np.testing.assert_allclose(second.boxes, first.boxes, atol=0.01)
-        np.testing.assert_allclose(second.scores, first.scores, atol=1e-4)
-
-
-def test_without_onnx_runtime_the_detector_runs_on_opencv(monkeypatch):
-    monkeypatch.setattr(sessions, "find_spec", lambda name: None)
-    assert NanodetVehicleDetector().runtime == "opencv"
-    with pytest.raises(InvalidInputError, match=r"runtime.*pip install onnxruntime"):
-        NanodetVehicleDetector(runtime="onnx")
+            NanodetVehicleDetector(path)
 
 
 def test_no_more_threads_than_opencv_has_and_cores_are_free(monkeypatch):
-    pytest.importorskip("onnxruntime")
     asked = []
     maps = [np.zeros((1, vehicles.CHANNELS, 2, 2), np.float32) for _ in vehicles.STRIDES]
 
@@ -124,17 +99,14 @@ def test_no_more_threads_than_opencv_has_and_cores_are_free(monkeypatch):
     monkeypatch.setattr("fgrecon.perception.vehicles.open_session", opened)
     for free, threads in ((1000, cv2.getNumThreads()), (1, 1)):
         monkeypatch.setattr("fgrecon.perception.vehicles.threads_of_networks", lambda free=free: free)
-        NanodetVehicleDetector(runtime="onnx")
+        NanodetVehicleDetector()
         assert asked[-1] == threads
 
 
-@pytest.mark.parametrize("runtime", ["opencv", "onnx"])
-def test_a_network_of_another_kind_is_refused(monkeypatch, runtime):
-    if runtime == "onnx":
-        pytest.importorskip("onnxruntime")
+def test_a_network_of_another_kind_is_refused(monkeypatch):
     monkeypatch.setattr(vehicles, "CHANNELS", 255)
     with pytest.raises(InvalidInputError, match=r"weights.*maps of \[124, 124, 124\] numbers"):
-        NanodetVehicleDetector(shipped(), runtime=runtime)
+        NanodetVehicleDetector(shipped())
 
 
 @pytest.fixture
@@ -155,7 +127,7 @@ def _sizes_seen(monkeypatch, image, passes, boxes):
 
     monkeypatch.setattr(vehicles, "SETTINGS", DetectionSettings(passes, 0.5, 0.5))
     monkeypatch.setattr(vehicles, "decode", decode)
-    detector = NanodetVehicleDetector(runtime="opencv")
+    detector = NanodetVehicleDetector()
     detector._network = lambda blob: inputs.append(blob.shape[2:])
     return detector(image), inputs
 
@@ -187,7 +159,7 @@ def test_what_looks_more_like_a_truck_is_more_probably_a_van():
 
 
 def test_boxes_that_are_given_have_a_class_as_well(monkeypatch):
-    detector = NanodetVehicleDetector(runtime="opencv")
+    detector = NanodetVehicleDetector()
     boxes = np.array([[10.0, 10, 50, 40], [12.0, 10, 50, 40], [80.0, 10, 120, 40]])
     numbers = np.array([[1.0, -9, -9, -3], [0.0, -9, -9, 1], [-1.0, -9, -9, 3]])
     monkeypatch.setattr(detector, "_detect", lambda *_: (boxes, np.array([0.4, 0.2, 0.05]), numbers))

@@ -37,7 +37,7 @@ from fgrecon.perception.keypoints.layout import (
 )
 from fgrecon.perception.keypoints.network_file import WITHOUT_STREET, check_arrays, load_weights, shipped
 from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
-from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, runs_on, threads_of_networks
+from fgrecon.perception.keypoints.sessions import Network, runs_on, threads_of_networks
 
 S = TypeVar("S", KNetSettings, RefineSettings)
 
@@ -105,13 +105,12 @@ class KeypointCascade:
             refine: Whether the refinement networks follow KNet, where the file has them.
             mirror: Whether KNet also looks at the mirror image, and the mean of both counts.
             device: `cpu`, or that of a GPU as PyTorch names it, such as `cuda` or `cuda:1`.
-            runtime: What runs the networks: "torch"; "onnx", which is ONNX Runtime; or "auto", "onnx" where it is
-                installed and has the device. Either has as many threads as cores are free now.
+            runtime: What runs the networks: "torch"; "onnx", which is ONNX Runtime; or "auto", "onnx" where it
+                has the device. Either has as many threads as cores are free now.
 
         Raises:
-            InvalidInputError: There is no such file, it holds no network, ONNX Runtime is not installed, or nothing
-                runs networks on the device.
-            MissingPackageError: PyTorch is not.
+            InvalidInputError: There is no such file, it holds no network, or nothing runs networks on the device.
+            MissingPackageError: PyTorch is needed and not installed.
         """
         named = None if weights is None else str(weights)
         path = shipped(named) if named in (None, WITHOUT_STREET) else Path(str(named))
@@ -119,7 +118,9 @@ class KeypointCascade:
         self.provenance = dict(stored.provenance)
         self.calibration: ConfidenceCalibration = stored.calibration
         self.device = device
-        self.runtime = chosen_runtime(runtime, "torch", packages=("onnx", "onnxruntime"), able=runs_on(device))
+        if runtime not in ("auto", "onnx", "torch") or (runtime == "onnx" and not runs_on(device)):
+            raise InvalidInputError("runtime", f"{runtime} on {device}", "Give auto, onnx (ONNX Runtime) or torch.")
+        self.runtime = "torch" if runtime == "torch" or not runs_on(device) else "onnx"
         self.mirror = mirror
         self.category = stored.category
         category = load_category(stored.category)

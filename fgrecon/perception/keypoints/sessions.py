@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -107,37 +106,11 @@ def threads_of_networks() -> int:
 
 
 def runs_on(device: str) -> bool:
-    """Whether ONNX Runtime, where it is installed, runs networks on a device: `cpu`, `cuda` or `cuda:1`."""
-    kind = device.partition(":")[0]
-    if kind == "cpu" or kind not in _PROVIDERS or find_spec("onnxruntime") is None:
-        return kind == "cpu"
+    """Whether ONNX Runtime runs networks on a device: `cpu`, `cuda` or `cuda:1`."""
     import onnxruntime
 
-    return _PROVIDERS[kind] in onnxruntime.get_available_providers()
-
-
-def chosen_runtime(asked: str, other: str, *, packages: Sequence[str], able: bool = True) -> str:
-    """Either "onnx", or the name of what there is without it.
-
-    Args:
-        asked: "onnx", `other`, or "auto": "onnx" where it is installed and able.
-        other: What there always is.
-        packages: Names of the modules that "onnx" needs.
-        able: Whether "onnx" can run on the device.
-
-    Raises:
-        InvalidInputError: It is none of these, or "onnx" and not installed or not able.
-    """
-    if asked not in ("auto", "onnx", other):
-        raise InvalidInputError("runtime", asked, f"Give auto, onnx or {other}.")
-    missing = [name for name in packages if find_spec(name) is None]
-    if asked == "onnx" and missing:
-        raise InvalidInputError(
-            "runtime", f"onnx without {', '.join(missing)}", f"Run: pip install {' '.join(missing)}"
-        )
-    if asked == "onnx" and not able:
-        raise InvalidInputError("runtime", "onnx on another device than the CPU", f"Give {other} or auto.")
-    return other if asked == other or missing or not able else "onnx"
+    kind = device.partition(":")[0]
+    return kind == "cpu" or _PROVIDERS.get(kind) in onnxruntime.get_available_providers()
 
 
 def open_session(model: bytes, threads: int, device: str = "cpu") -> Network:
