@@ -71,7 +71,8 @@ def reconstruct(
             (`factors.keys`; `factors.guarded_factor` makes one from a callback). They are in every solve of the graph,
             in the covariances and in the history as term `extra`, but not in the search for proposals.
         evidence: What is known of the vehicle beside its keypoints, such as `fgrecon.VehicleClass("van")`, or
-            `fgrecon.Points` of a scan. With points and a box a vehicle needs no keypoints.
+            `fgrecon.Points` of a scan. With a 2D box, and with points or a mask, it
+            needs no keypoints.
 
     Returns:
         The reconstruction; its `status` says how far to trust it.

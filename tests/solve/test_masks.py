@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from fgrecon import Mask, Observation, Options, Reconstruction, reconstruct, reconstruct_scene
-from fgrecon.errors import InvalidInputError
+from fgrecon import Mask, Observation, Options, Reconstruction, Status, reconstruct, reconstruct_scene
+from fgrecon.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from tests.cars import CAMERA as WHOLE
 from tests.cars import observe, yaw_pose
@@ -55,6 +55,27 @@ def test_a_silhouette_makes_size_and_rotation_better() -> None:
     assert (after[[0, 2]] < 0.6 * before[[0, 2]]).all(), (before, after)
     assert found.diagnostics.evidence["mask"] > 1.0  # times smaller is the position's standard deviation
     assert 0.0 < found.diagnostics.energies["mask"] < 20.0
+
+
+@pytest.mark.parametrize("count", [0, 2])
+@pytest.mark.parametrize("kernel", ["", "numpy"])
+def test_a_silhouette_stands_in_for_keypoints(count: int, kernel: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which a box alone does not: it tells neither the pose nor what is wrong with few keypoints."""
+    monkeypatch.setenv("FGRECON_KERNEL", kernel)
+    _, mask, pose = seen(-0.6, PLACES[0])
+    keypoints = np.full((14, 2), np.nan)
+    shown = [0, 3][:count]
+    keypoints[shown] = CAMERA.project(PRIOR.keypoints(SHAPE)[shown] @ pose[:3, :3].T + pose[:3, 3])
+    rows, columns = np.nonzero(mask)
+    box = np.array([columns.min(), rows.min(), columns.max(), rows.max()], dtype=float)
+    few = Observation.of(keypoints, None, box)
+    with pytest.raises(DegenerateProblemError, match=r"keypoint"):
+        reconstruct(few, CAMERA, ground=1.65)
+    found = reconstruct(few, CAMERA, ground=1.65, evidence=[Mask(mask, sigma=0.7)])
+    place, turned, _ = off(found, pose)
+    assert place < 1.5
+    assert min(turned, abs(180.0 - turned)) < 6.0  # which way it faces the outline does not say
+    assert found.status is not Status.CONVERGED
 
 
 def test_what_hides_a_vehicle_is_no_outline() -> None:

@@ -63,24 +63,6 @@ class ReweightingSettings:
 
 
 @dataclass(frozen=True)
-class MaskSettings:
-    """Of silhouettes (`fgrecon.solve.graph.sensed_part`); not tuned where nothing else is said."""
-
-    directions: int = 48
-    """In the image, in each of which the farthest vertex and the mask's farthest point are compared."""
-    right: float = 0.9
-    """Probability that a vertex of the outline is on the mask's, and the mask's outline is the vehicle's."""
-    span_share: float = 0.5
-    """Of the mask's longer side, over which the others lie."""
-    hidden_sigmas: float = 3.0
-    """Of the outline's standard deviation, about what hides a vehicle: outlines there say nothing."""
-    independent_rows: float = 24.0
-    """As how many all comparisons count."""
-    common_factor: float = 2.0
-    """By how much less they say of covariances."""
-
-
-@dataclass(frozen=True)
 class GraphSettings:
     """Of the graph: which proposals are refined, what decides between them, and when a solve ends.
 
@@ -119,8 +101,6 @@ class GraphSettings:
     """Share of a vehicle's largest information below which a direction has none."""
     newton: NewtonSettings = NewtonSettings()
     """Of Newton's method."""
-    masks: MaskSettings = MaskSettings()
-    """Of silhouettes."""
     reweighting: ReweightingSettings = ReweightingSettings()
     """Of iteratively re-weighted least squares."""
 

@@ -167,7 +167,7 @@ def _lowest_energy_mode(
         return first
     best = min(solved, key=lambda one: one.optimum.energy)
     least = -np.inf
-    if start.everywhere and not extra and not best.graph.sensed:  # of which the search knows nothing
+    if start.everywhere and not extra and not best.graph.sensed:  # with which it would be slow, and gains nothing
         best, more = _restarted(observations[0], best, refine)
         solved += more
         least = 0.0 if more else least  # what is lower by so little that it is no other result

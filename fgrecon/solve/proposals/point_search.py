@@ -20,7 +20,7 @@ from fgrecon.solve.proposals.starts import at_azimuths, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.proposals.unsure_place import UnsurePlace
 
-POINTS = SETTINGS.points
+POINTS, MASKS = SETTINGS.points, SETTINGS.masks
 
 
 def search_with_points(problem: Problem, pictured: Hypotheses, carrying: float) -> SearchResult:
@@ -31,15 +31,27 @@ def search_with_points(problem: Problem, pictured: Hypotheses, carrying: float) 
         pictured: Poses that the picture alone leads to, with all coefficients.
         carrying: Sum of the keypoints' weights at the one of them that has the largest.
     """
-    if problem.observation.measured.sum() < SETTINGS.least_keypoints or carrying < POINTS.least_carrying:
+    few = rests_on_few(problem, carrying)
+    if few:
         pictured = Hypotheses.joined([pictured, _around(problem)])
     some = tuple(replace(one, rows=_some(_unsure(one))) for one in problem.energy.points)
-    energy = replace(problem.energy, points=some)
+    energy = replace(problem.energy, points=some, masks=problem.energy.masks if few else ())
     rough = replace(energy, points=tuple(replace(one, rows=_roughly(one.rows)) for one in some))
     starts = _starts(problem, pictured)
     best = best_of(rough, starts, POINTS.rough_starts)
     near = search(rough, best, POINTS.rough_iterations, {}).hypotheses
     return search(energy, near, POINTS.iterations, {POINTS.kept_from_iteration: POINTS.kept_hypotheses})
+
+
+def rests_on_few(problem: Problem, carrying: float) -> bool:
+    """Whether so few keypoints carry the picture's poses that others than these are possible."""
+    return bool(problem.observation.measured.sum() < SETTINGS.least_keypoints or carrying < POINTS.least_carrying)
+
+
+def search_with_mask(problem: Problem, pictured: Hypotheses) -> SearchResult:
+    """Where the search ends with the silhouette, from the picture's poses and from all round."""
+    starts = Hypotheses.joined([pictured, _around(problem)])
+    return search(problem.energy, starts, MASKS.iterations, {MASKS.kept_from_iteration: POINTS.kept_hypotheses})
 
 
 def _unsure(term: PointTerm) -> PointRows:

@@ -19,7 +19,7 @@ from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.history import Deferred
 from fgrecon.core.reconstruction import Alternative, Iteration
 from fgrecon.solve.proposals.irls import algorithm1
-from fgrecon.solve.proposals.point_search import search_with_points
+from fgrecon.solve.proposals.point_search import rests_on_few, search_with_mask, search_with_points
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import PoseEnergy, search
 from fgrecon.solve.proposals.search_settings import SETTINGS
@@ -62,9 +62,13 @@ def search_pose(problem: Problem, initial: Box3D | float | Array | None = None) 
     if not np.isfinite(result.energy[0]):
         raise DegenerateProblemError("keypoints", "no pose in front of the camera", "Check intrinsics, box and points.")
     found, energies, weights = result.hypotheses.of_dimension(dimension), result.energy, result.weights
+    carrying, beside = float(weights.sum(axis=1).max()), None
     if problem.energy.points:
-        with_points = search_with_points(problem, found, float(weights.sum(axis=1).max()))
-        found, energies, weights = with_points.hypotheses, with_points.energy, with_points.weights
+        beside = search_with_points(problem, found, carrying)
+    elif problem.energy.masks and rests_on_few(problem, carrying):
+        beside = search_with_mask(problem, found)
+    if beside is not None:
+        found, energies, weights = beside.hypotheses, beside.energy, beside.weights
     best, coefficients = found.matrices(), found.coefficients
     visibility = energy.visible_from(best[0])
     return PoseEstimate(

@@ -15,6 +15,7 @@ from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options
 from fgrecon.core.robust import Evidence
+from fgrecon.solve.proposals.mask_term import mask_terms
 from fgrecon.solve.proposals.point_term import POINTS_NAME, PointTerm, point_terms
 from fgrecon.solve.proposals.search import PoseEnergy
 from fgrecon.solve.proposals.search_settings import SETTINGS
@@ -55,9 +56,11 @@ class Problem:
         """
         points = point_terms(observation, camera, model) if observation.evidence else ()
         points = tuple(one for one in points if one.name not in options.disabled_terms)
-        if not points or observation.box is None:
+        masked = observation.evidence and "mask" not in options.disabled_terms
+        masks = mask_terms(observation, camera, model) if masked else ()
+        if not (points or masks) or observation.box is None:
             _check_points(observation)
-        energy = _energy(observation, camera, model, ground, options, points)
+        energy = replace(_energy(observation, camera, model, ground, options, points), masks=masks)
         return cls(observation, camera, model, ground, options, energy, assumed=observation.covariance is None)
 
     @property

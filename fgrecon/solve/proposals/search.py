@@ -11,10 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.native import native
+from factors.silhouette import SilhouetteRows
+from factors.surface_points import PointRows
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.geometry import exponential
 from fgrecon.core.robust import StrategyName
+from fgrecon.solve.proposals.mask_term import MaskTerm
 from fgrecon.solve.proposals.point_term import PointTerm
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import (
@@ -29,7 +32,7 @@ from fgrecon.solve.proposals.terms import (
 )
 from fgrecon.solve.vehicle.visibility import VisibilityTable
 
-_Summand = PointTerm | BoxTerm | SizeTerm | GroundTerm | DirectionTerm | CoefficientTerm
+_Summand = PointTerm | MaskTerm | BoxTerm | SizeTerm | GroundTerm | DirectionTerm | CoefficientTerm
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,7 @@ class PoseEnergy:
     ground: GroundTerm | None = None  # ground term, or None
     direction: DirectionTerm | None = None  # term of the direction that the vehicle is observed from, or None
     points: tuple[PointTerm, ...] = ()  # terms of measured points
+    masks: tuple[MaskTerm, ...] = ()  # term of the silhouette, if there is one
 
     def __getstate__(self) -> dict[str, Any]:
         """What it is made of; another process compiles it again."""
@@ -65,6 +69,7 @@ class PoseEnergy:
         terms = self.box, self.size, self.ground, self.direction
         yield from (term for term in terms if term is not None)
         yield from self.points
+        yield from self.masks
         yield CoefficientTerm()
 
     def evaluate(self, h: Hypotheses, progress: float = 1.0) -> tuple[Quadratic, Array]:
@@ -76,7 +81,7 @@ class PoseEnergy:
         return total, weights
 
     def truncated(self, dimension: int) -> PoseEnergy:
-        """The same energy of the first `dimension` coefficients alone, the others being zero, without points."""
+        """The energy of the first `dimension` coefficients alone, the others being zero, without points and masks."""
         box, size = self.box, self.size
         return replace(
             self,
@@ -84,6 +89,7 @@ class PoseEnergy:
             box=None if box is None else replace(box, basis=box.basis[:dimension]),
             size=None if size is None else replace(size, jacobian=size.jacobian[:, :dimension]),
             points=(),
+            masks=(),
         )
 
     def energies(self, h: Hypotheses) -> dict[str, Array]:
@@ -128,8 +134,9 @@ def _compile(energy: PoseEnergy) -> Any:
         None if size is None else size.packed,
         None if energy.direction is None else energy.direction.probability,
     )
-    if energy.points:
-        compiled.search_beside([one.rows.compiled for one in energy.points])
+    rows: list[PointRows | SilhouetteRows] = [one.rows for one in energy.points]
+    rows += [one.rows for one in energy.masks]
+    compiled.search_beside([one.compiled for one in rows])
     return compiled
 
 

@@ -133,6 +133,28 @@ class PointSettings:
 
 
 @dataclass(frozen=True)
+class MaskSettings:
+    """Of silhouettes (`fgrecon.solve.proposals.mask_term`); not tuned where nothing else is said."""
+
+    directions: int = 48
+    """In the image, in each of which the farthest vertex and the mask's farthest point are compared."""
+    right: float = 0.9
+    """Probability that a vertex of the outline is on the mask's, and the mask's outline is the vehicle's."""
+    span_share: float = 0.5
+    """Of the mask's longer side, over which the others lie."""
+    hidden_sigmas: float = 3.0
+    """Of the outline's standard deviation, about what hides a vehicle: outlines there say nothing."""
+    independent_rows: float = 24.0
+    """As how many all comparisons count."""
+    common_factor: float = 2.0
+    """By how much less they say of covariances."""
+    iterations: int = 8
+    """Of the search where too few keypoints are measured or right, and the silhouette decides."""
+    kept_from_iteration: int = 2
+    """Iteration of it from which only the best go on."""
+
+
+@dataclass(frozen=True)
 class PoseSearchSettings:
     """Of the search over many poses (`fgrecon.solve.proposals.pose_search` and `search`).
 
@@ -185,6 +207,8 @@ class PoseSearchSettings:
     """That the directions of a detector mean nothing: none costs more than its logarithm and a little."""
     points: PointSettings = PointSettings()
     """Of measured points."""
+    masks: MaskSettings = MaskSettings()
+    """Of silhouettes."""
     restarts: RestartSettings = RestartSettings()
     """Of the second search."""
 
