@@ -26,32 +26,42 @@ from fgrecon.core.errors import ContradictoryInputWarning, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
 
-FARTHEST_OUTSIDE = 0.5
-"""Of an image's size: so far beyond its edges may keypoints be of a vehicle that they cut off."""
 
-FARTHEST = 2000.0
-"""Metres: a camera that shows keypoints of a vehicle there sees 0.1 degree; not tuned."""
+@dataclass(frozen=True)
+class InputWarningSettings:
+    """From which on an input must be wrong. Where nothing else is said a number was not tuned."""
 
-MIRRORED_GAIN = 8.0
-"""Nats by which keypoints fit better with left and right exchanged if they are. Exchanged ones of KITTI's tracks gain
-11 to 40, and the right ones lose as much."""
+    farthest_outside: float = 0.5  # of an image's size: so far beyond its edges are keypoints of a vehicle it cuts off
+    farthest_m: float = 2000.0  # a camera that shows keypoints of a vehicle there sees 0.1 degree
+    mirrored_gain_nats: float = 8.0
+    """By which keypoints fit better with left and right exchanged if they are. Exchanged ones of KITTI's tracks gain
+    11 to 40, and the right ones lose as much."""
+    unmirrored_share: float = 0.6  # of keypoints that fit, from which on that is not tried; of exchanged ones half do
+    beside_box: float = 0.25  # of a box's longer side: so far beside it are keypoints still its vehicle's
+    image_edge: float = 0.02  # of an image's size: so near its edge ends the box of a vehicle that it cuts off
+    least_certain_keypoints: int = 6  # from which on something can be said of their fit
+    fitting_weight: float = 0.5  # from which a keypoint fits
+    few_fitting_share: float = 0.25  # of a vehicle's keypoints
+    square_difference: float = 0.1  # by which fx and fy may differ: pixels are square
+    exchanged_same: float = 0.005  # so little fx and cx differ where fy and cx are exchanged
+    exchanged_other: float = 0.01  # and so much fx and fy
+    farthest_right: float = 2.5  # times cx: there are no keypoints of an image with its principal point in the middle
+    scale_alike_log: float = 0.2  # by how much less the sides' ratios differ in an image of another size
+    scale_off_log: float = 0.25  # and how far they are from 1
+    widest_view_degrees: float = 140.0  # horizontal
+    narrowest_view_degrees: float = 10.0  # horizontal; of photographs of cars 4 % are cut narrower
+    least_strayed_keypoints: int = 5  # from which on one is judged by how far it is from the others
+    stray_distance: float = 10.0  # times the median of these distances; on KITTI's tracks no keypoint has over 3.6
+    widest_ray: float = 11.4  # tangent of 85 degrees beside the axis
+    leaning_radians: float = math.radians(35.0)  # of results: tilt against the camera
+    above_share: float = 0.35  # of results: height over the camera by the distance
+
+
+SETTINGS = InputWarningSettings()
+"""What is used."""
 
 _NAMED = 3  # vehicles that a warning names
-_WIDER = 0.25  # of a box's longer side: so far beside it are keypoints still its vehicle's
-_EDGE = 0.02  # of an image's size: so near its edge ends the box of a vehicle that it cuts off
-_ENOUGH = 6  # keypoints from which on something can be said of their fit
-_FIT = 0.5  # weight from which one fits
-_FEW = 0.25  # of a vehicle's keypoints
-_SQUARE = 0.1  # by which fx and fy may differ: pixels are square
-_SAME, _OTHER = 0.005, 0.01  # so little fx and cx differ, and so much fx and fy, where fy and cx are exchanged
-_MIDDLE = 2.5  # times cx: so far to the right are no keypoints of an image with its principal point about the middle
-_SCALES = 0.2, 0.25  # logarithms: how much less the sides' ratios differ, and how far they are from 1, of another size
-_WIDEST, _NARROWEST = 140.0, 10.0  # degrees: horizontal fields of view; of photographs of cars 4 % are cut narrower
-_JUDGED = 5  # keypoints from which on one is judged by how far it is from the others
-_STRAY = 10.0  # times the median of these distances; on KITTI's tracks no keypoint has more than 3.6
 _MARKS = np.array([-999.0, -1000.0, -9999.0, 9999.0, 99999.0])  # for u and v of a point that is missing
-_WIDEST_RAY = 11.4  # tangent of 85 degrees beside the axis
-_LEANING, _ABOVE = math.radians(35.0), 0.35  # of results: tilt against the camera, and height over it by the distance
 
 
 class InputWarning(StrEnum):
@@ -91,12 +101,12 @@ _SENTENCES = {
     "other_size": "The principal point of the camera of {} is the middle of an image of another size. Was the image "
     "made smaller or larger? K has to be as well.",
     "square": "fx and fy of the camera of {} differ as hardly a camera's do. Is their order fx, fy, cx, cy?",
-    "field_of_view": f"The camera of {{}} sees more than {_WIDEST:g} degrees or less than {_NARROWEST:g}, as hardly "
-    "one does. Is its focal length in pixels of this image?",
+    "field_of_view": f"The camera of {{}} sees more than {SETTINGS.widest_view_degrees:g} degrees or less than "
+    f"{SETTINGS.narrowest_view_degrees:g}, as hardly one does. Is its focal length in pixels of this image?",
     "mirrored": "The keypoints of {} fit better with left and right exchanged. Left and right are the vehicle's own; "
     "or is the image mirrored?",
-    "far": f"The results of {{}} are more than {FARTHEST:g} m away. Is the camera's focal length in pixels of this "
-    "image?",
+    "far": f"The results of {{}} are more than {SETTINGS.farthest_m:g} m away. Is the camera's focal length in pixels "
+    "of this image?",
     "air": "The results of {} are high up in the air, or lean by tens of degrees against the camera. Are the camera's "
     "intrinsics right, and the image upright? Of a camera that looks down give the ground.",
     "fit": "Hardly a keypoint of {} fits. Is their order the category's, and are left and right the vehicle's own?",
@@ -108,7 +118,7 @@ REASONS = {
     InputWarning.OTHER_SIZE: "the principal point of its camera is the middle of an image of another size",
     InputWarning.SQUARE: "the pixels of its camera are far from square",
     InputWarning.FIELD_OF_VIEW: "hardly a lens has the field of view of its camera",
-    InputWarning.FAR: f"it is more than {FARTHEST:g} m away",
+    InputWarning.FAR: f"it is more than {SETTINGS.farthest_m:g} m away",
     InputWarning.AIR: "it is high up in the air, or leans by tens of degrees against the camera",
 }
 """Of warnings of a camera: the clauses of results that are weak by it."""
@@ -208,9 +218,10 @@ def input_warning_of(observation: Observation, camera: Camera) -> InputWarning |
 def camera_warning_of(camera: Camera) -> InputWarning | None:
     """What of a camera contradicts the size of its image, or itself."""
     (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
-    if abs(fx / fy - 1.0) > _SQUARE and abs(fy / fx - 1.0) > _SQUARE:
+    if abs(fx / fy - 1.0) > SETTINGS.square_difference and abs(fy / fx - 1.0) > SETTINGS.square_difference:
         return InputWarning.SQUARE
-    if camera.image_size is not None and abs(cx / fx - 1.0) < _SAME and abs(fy / fx - 1.0) > _OTHER:
+    exchanged = abs(cx / fx - 1.0) < SETTINGS.exchanged_same and abs(fy / fx - 1.0) > SETTINGS.exchanged_other
+    if camera.image_size is not None and exchanged:
         middle = camera.image_size[0] / 2.0
         if abs(fy - middle) < abs(cx - middle):  # fx, cx, fy, cy
             return InputWarning.SQUARE
@@ -220,11 +231,12 @@ def camera_warning_of(camera: Camera) -> InputWarning | None:
     if not (-0.5 <= cx <= width - 0.5 and -0.5 <= cy <= height - 0.5):
         return InputWarning.PRINCIPAL_POINT
     across, down = math.log(max(2.0 * cx, 1.0) / width), math.log(max(2.0 * cy, 1.0) / height)
-    alike, off = _SCALES
+    alike, off = SETTINGS.scale_alike_log, SETTINGS.scale_off_log
     if abs(across - down) < alike and min(abs(across), abs(down)) > off:
         return InputWarning.OTHER_SIZE
     view = math.degrees(2.0 * math.atan(width / (2.0 * fx)))
-    return None if camera.focal_sigma or _NARROWEST < view < _WIDEST else InputWarning.FIELD_OF_VIEW
+    usual = SETTINGS.narrowest_view_degrees < view < SETTINGS.widest_view_degrees
+    return None if camera.focal_sigma or usual else InputWarning.FIELD_OF_VIEW
 
 
 def _warning_of_keypoints(observation: Observation, camera: Camera) -> InputWarning | None:
@@ -236,15 +248,22 @@ def _warning_of_keypoints(observation: Observation, camera: Camera) -> InputWarn
     points = observation.keypoints[_certain(observation)]
     size = None if camera.image_size is None else np.array(camera.image_size, dtype=np.float64)
     if observation.box is not None:
-        wider = _WIDER * observation.extent
+        wider = SETTINGS.beside_box * observation.extent
         beside = _outside(points, observation.box[:2] - wider, observation.box[2:] + wider)
         if size is not None and _at_edge(observation.box, size):  # the vehicle goes on outside of the image
             beside &= ~_outside(points, np.zeros(2), size)
         if np.mean(beside) > 0.5:
             return InputWarning.BESIDE
-    if size is not None and np.mean(_outside(points, -FARTHEST_OUTSIDE * size, (1.0 + FARTHEST_OUTSIDE) * size)) > 0.5:
+    if (
+        size is not None
+        and np.mean(_outside(points, -SETTINGS.farthest_outside * size, (1.0 + SETTINGS.farthest_outside) * size)) > 0.5
+    ):
         return InputWarning.BEYOND
-    if size is None and not camera.cropped_from_larger and np.mean(points[:, 0] > _MIDDLE * camera.matrix[0, 2]) > 0.5:
+    if (
+        size is None
+        and not camera.cropped_from_larger
+        and np.mean(points[:, 0] > SETTINGS.farthest_right * camera.matrix[0, 2]) > 0.5
+    ):
         return InputWarning.BEYOND
     return None
 
@@ -263,15 +282,15 @@ def strays(observation: Observation, camera: Camera) -> list[tuple[NDArray[np.bo
     found, left = [(marks, "other programs mark so what is missing")], ~marks
     if camera.image_size is not None:
         size = np.array(camera.image_size, dtype=np.float64)
-        outside = left & _outside(pixels, -FARTHEST_OUTSIDE * size, (1.0 + FARTHEST_OUTSIDE) * size)
+        outside = left & _outside(pixels, -SETTINGS.farthest_outside * size, (1.0 + SETTINGS.farthest_outside) * size)
         if 2 * np.count_nonzero(outside) < np.count_nonzero(measured & left):  # else it is another image
             image = f"{camera.image_size[0]} x {camera.image_size[1]}"
             found, left = [*found, (outside, f"far outside of the image of {image}")], left & ~outside
     points = pixels[measured & left]
-    if len(points) >= _JUDGED:
+    if len(points) >= SETTINGS.least_strayed_keypoints:
         away = np.abs(pixels - _median(points)).max(axis=1)
         with np.errstate(invalid="ignore"):
-            far = np.asarray(left & (away > _STRAY * max(float(_median(away[measured & left])), 1.0)))
+            far = np.asarray(left & (away > SETTINGS.stray_distance * max(float(_median(away[measured & left])), 1.0)))
         found, left = [*found, (far, "far from all others")], left & ~far
     _check_rays(pixels[measured & left], camera)
     return found
@@ -288,7 +307,7 @@ def _check_rays(points: Array, camera: Camera) -> None:
     if not len(points):
         return
     aside = float(_median(np.abs((points - camera.matrix[:2, 2]) / camera.matrix.diagonal()[:2]).max(axis=1)))
-    if aside > _WIDEST_RAY:
+    if aside > SETTINGS.widest_ray:
         degrees = np.degrees(np.arctan(aside))
         fix = "Give K in pixels of this image."
         raise InvalidInputError("intrinsics", f"keypoints {degrees:.1f} degrees beside the camera's axis", fix)
@@ -296,12 +315,12 @@ def _check_rays(points: Array, camera: Camera) -> None:
 
 def result_warning_of(observation: Observation, result: Reconstruction) -> InputWarning | None:
     """What must be wrong with a vehicle's keypoints or its camera, if anything, by its result."""
-    if result.diagnostics.mirrored_gain > MIRRORED_GAIN:
+    if result.diagnostics.mirrored_gain > SETTINGS.mirrored_gain_nats:
         return InputWarning.MIRRORED
     share = fit_share(observation, result.diagnostics.weights)
-    if observation.azimuth is None and share is not None and share < _FEW:
+    if observation.azimuth is None and share is not None and share < SETTINGS.few_fitting_share:
         return InputWarning.FIT
-    if result.status.determined and np.linalg.norm(result.location) > FARTHEST:
+    if result.status.determined and np.linalg.norm(result.location) > SETTINGS.farthest_m:
         return InputWarning.FAR
     grounded = "ground" in result.diagnostics.energies  # which says how the camera looks at it
     if result.status.determined and not grounded and in_the_air(result.camera_T_object):
@@ -314,7 +333,9 @@ def in_the_air(camera_T_object: Array) -> bool:
     if not np.isfinite(camera_T_object).all():
         return False
     x, y, z = camera_T_object[:3, 3].tolist()
-    return bool(camera_T_object[1, 1] < math.cos(_LEANING) or -y > _ABOVE * math.hypot(x, z))
+    return bool(
+        camera_T_object[1, 1] < math.cos(SETTINGS.leaning_radians) or -y > SETTINGS.above_share * math.hypot(x, z)
+    )
 
 
 def fit_share(observation: Observation, weights: Array) -> float | None:
@@ -325,12 +346,16 @@ def fit_share(observation: Observation, weights: Array) -> float | None:
         weights: (K,) of the result.
     """
     certain = _certain(observation)
-    return float(np.mean(weights[certain] >= _FIT)) if np.count_nonzero(certain) >= _ENOUGH else None
+    return (
+        float(np.mean(weights[certain] >= SETTINGS.fitting_weight))
+        if np.count_nonzero(certain) >= SETTINGS.least_certain_keypoints
+        else None
+    )
 
 
 def _at_edge(box: Array, size: Array) -> bool:
     """Whether a box reaches an edge of its image."""
-    margin = _EDGE * size
+    margin = SETTINGS.image_edge * size
     return bool((box[:2] < margin).any() or (box[2:] > size - margin).any())
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,13 +23,28 @@ BOTTOMS = (
 )
 
 _DOWN = np.array([0.0, 1.0, 0.0])  # in the camera's frame
-# Chosen on labels of KITTI. Raised to their centres, boxes are so noticed in 53 % of 600 images, in 97 % of as many
-# groups of five and in all of 25; in all eleven of its tracking drives, and those of 25 frames of a detector. As they
-# are: in one of the 600 images, in none of all others.
-_NATS = 4.0  # by which boxes at the median could tell the two
-_HALVES = 0.6, 1.5  # the median height above the ground, in halves of the boxes' heights
-_LEAST, _SHARE = 0.25, 0.75  # of a box's height: so far above the ground is so large a share of them
-_HEIGHT_SIGMA, _SLOPE_SIGMA = 0.15, 0.02  # metres, and radians: of boxes and roads together
+
+
+@dataclass(frozen=True)
+class BoxOriginSettings:
+    """When boxes are given by their centres. Chosen on labels of KITTI.
+
+    Raised to their centres, boxes are so noticed in 53 % of 600 images, in 97 % of as many groups of five and in all of
+    25; in all eleven of its tracking drives, and those of 25 frames of a detector. As they are: in one of the 600
+    images, in none of all others.
+    """
+
+    least_difference_nats: float = 4.0  # by which boxes at the median could tell the two
+    lowest_median: float = 0.6  # height above the ground, in halves of the boxes' heights
+    highest_median: float = 1.5  # likewise
+    raised_height: float = 0.25  # of a box's height: so far above the ground
+    raised_share: float = 0.75  # is so large a share of them
+    height_sigma_m: float = 0.15  # of boxes and roads together
+    slope_sigma_radians: float = 0.02  # likewise
+
+
+SETTINGS = BoxOriginSettings()
+"""What is used."""
 
 
 def on_bottom(boxes: Sequence[Box3D], origin: BoxOrigin) -> list[Box3D]:
@@ -77,11 +92,12 @@ def contradicted_origin(boxes: Sequence[Box3D], ground: Ground | None, origin: B
     places, halves = np.array([place for place, _ in sized]), np.array([height for _, height in sized]) / 2.0
     beside = 1.0 if origin is BoxOrigin.BOTTOM else -1.0
     ratios = beside * (ground.distance - places @ ground.normal) / halves
-    nats = 0.5 * (halves / np.hypot(_HEIGHT_SIGMA, _SLOPE_SIGMA * places[:, 2])) ** 2
+    nats = 0.5 * (halves / np.hypot(SETTINGS.height_sigma_m, SETTINGS.slope_sigma_radians * places[:, 2])) ** 2
     order = np.argsort(ratios)
     before = np.cumsum(nats[order])
     median = float(ratios[order][np.searchsorted(before, 0.5 * before[-1])])
-    share = float(nats[ratios > 2.0 * _LEAST].sum() / before[-1])
-    if before[-1] > _NATS and _HALVES[0] < median < _HALVES[1] and share > _SHARE:
+    share = float(nats[ratios > 2.0 * SETTINGS.raised_height].sum() / before[-1])
+    raised = SETTINGS.lowest_median < median < SETTINGS.highest_median and share > SETTINGS.raised_share
+    if before[-1] > SETTINGS.least_difference_nats and raised:
         return CENTRES if origin is BoxOrigin.BOTTOM else BOTTOMS
     return None

@@ -8,15 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import FgreconError
-from fgrecon.core.input_warnings import MIRRORED_GAIN, fit_share
+from fgrecon.core.input_warnings import SETTINGS, fit_share
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import weakened
-
-_FITTING = 0.6
-"""Share of the keypoints that fit from which on nothing is tried; of exchanged ones at most half do."""
 
 
 def with_mirrored_gain(result: Reconstruction, problem: Problem) -> Reconstruction:
@@ -28,7 +25,7 @@ def with_mirrored_gain(result: Reconstruction, problem: Problem) -> Reconstructi
     """
     observation = problem.observation
     share = fit_share(observation, result.diagnostics.weights)
-    if observation.azimuth is not None or share is None or share >= _FITTING:
+    if observation.azimuth is not None or share is None or share >= SETTINGS.unmirrored_share:
         return result
     mirror = np.array(problem.model.prior.category.mirror)
     try:
@@ -38,10 +35,10 @@ def with_mirrored_gain(result: Reconstruction, problem: Problem) -> Reconstructi
     except FgreconError:
         return result
     after = fit_share(exchanged.observation, there.weights)
-    if after is None or after < _FITTING:  # neither fits
+    if after is None or after < SETTINGS.unmirrored_share:  # neither fits
         return result
     found = replace(result, diagnostics=replace(result.diagnostics, mirrored_gain=float(gain)))
-    if not gain > MIRRORED_GAIN:
+    if not gain > SETTINGS.mirrored_gain_nats:
         return found
     return weakened(found, [f"its keypoints fit better with left and right exchanged, by {gain:.0f} nats"])
 

@@ -15,7 +15,8 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
-from fgrecon.core.input_warnings import FARTHEST, REASONS, InputWarning, camera_warning_of, in_the_air
+from fgrecon.core.input_warnings import REASONS, InputWarning, camera_warning_of, in_the_air
+from fgrecon.core.input_warnings import SETTINGS as INPUT_WARNINGS
 from fgrecon.core.observation import Observation
 from fgrecon.core.result_fields import Status
 from fgrecon.solve.solve_settings import STATUS
@@ -60,7 +61,7 @@ def weaknesses(
         found += off_ground(float(ground.normal @ camera_T_object[:3, 3] - ground.distance), sigma)
     elif in_the_air(camera_T_object):
         found.append(REASONS[InputWarning.AIR])
-    if np.linalg.norm(camera_T_object[:3, 3]) > FARTHEST:
+    if np.linalg.norm(camera_T_object[:3, 3]) > INPUT_WARNINGS.farthest_m:
         found.append(REASONS[InputWarning.FAR])
     if (warning := camera_warning_of(camera)) is not None:
         found.append(REASONS[warning])

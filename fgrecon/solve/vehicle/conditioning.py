@@ -20,8 +20,17 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import SizePrior
 
-_TIGHT = 0.5  # of the prior's own spread: from there on a size tells one vehicle from another
-_PLAUSIBLE = 4.0  # standard deviations from the prior's sizes up to which it knows such a vehicle
+
+@dataclass(frozen=True)
+class ConditioningSettings:
+    """When a prior takes a given size. Not tuned."""
+
+    tight_share: float = 0.5  # of the prior's own spread: from there on a size tells one vehicle from another
+    plausible_sigmas: float = 4.0  # from the prior's sizes up to which it knows such a vehicle
+
+
+SETTINGS = ConditioningSettings()
+"""What is used."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +79,10 @@ def is_one_vehicle(prior: ShapePrior, size: SizePrior) -> bool:
     """
     relation = SizeRelation.by_ratios(prior)
     spread = relation.jacobian @ relation.jacobian.T
-    if (size.sigma >= _TIGHT * np.sqrt(np.diag(spread))).any():
+    if (size.sigma >= SETTINGS.tight_share * np.sqrt(np.diag(spread))).any():
         return False
     away = size.mean - relation.mean
-    return bool(away @ np.linalg.solve(spread + np.diag(size.sigma**2), away) <= _PLAUSIBLE**2)
+    return bool(away @ np.linalg.solve(spread + np.diag(size.sigma**2), away) <= SETTINGS.plausible_sigmas**2)
 
 
 def given_size(prior: ShapePrior, size: SizePrior, relation: SizeRelation | None = None) -> ShapePrior:
@@ -119,7 +128,7 @@ def of_fleet(prior: ShapePrior, size: SizePrior) -> ShapePrior:
     by_size = relation.jacobian
     away = size.mean - relation.mean
     coefficients = by_size.T @ np.linalg.solve(by_size @ by_size.T + np.diag(size.sigma**2), away)
-    coefficients *= min(1.0, _PLAUSIBLE / max(float(np.linalg.norm(coefficients)), 1e-12))
+    coefficients *= min(1.0, SETTINGS.plausible_sigmas / max(float(np.linalg.norm(coefficients)), 1e-12))
     surface = prior.surface
     if surface is not None:
         surface = Surface(surface.vertices(coefficients), surface.basis, surface.faces)
