@@ -42,8 +42,11 @@ def pose_of_message(place: Any, turn: Any, where: str) -> Array:
     Raises:
         InvalidInputError: They are no pose.
     """
-    quaternion = np.array([turn.w, turn.x, turn.y, turn.z], dtype=np.float64)
-    numbers = np.array([place.x, place.y, place.z], dtype=np.float64)
+    try:
+        quaternion = np.array([turn.w, turn.x, turn.y, turn.z], dtype=np.float64)
+        numbers = np.array([place.x, place.y, place.z], dtype=np.float64)
+    except (AttributeError, TypeError, ValueError) as error:  # of JSON, which may lack anything
+        raise InvalidInputError(where, str(error), "Give x, y, z, and x, y, z, w.") from error
     if not (np.isfinite(numbers).all() and abs(float(np.linalg.norm(quaternion)) - 1.0) < _UNIT):
         value = [*numbers.tolist(), *quaternion.tolist()]
         raise InvalidInputError(where, value, "Give finite numbers and a unit quaternion.")

@@ -1,4 +1,4 @@
-"""Foxglove's own messages in MCAP (protobuf) as if they were those of ROS.
+"""Foxglove's own messages in MCAP (protobuf or JSON) as if they were those of ROS.
 
 | schema | is taken for |
 |---|---|
@@ -8,12 +8,15 @@
 | `foxglove.Odometry` | an odometry |
 | `foxglove.PointCloud` | a `PointCloud2`; its points are where its own `pose` puts them in its frame |
 
-Their schemas come with the file; other channels are left out.
+Schemas of protobuf come with the file; JSON has the same fields, with bytes in base64. Other channels are left out.
 """
 
 from __future__ import annotations
 
+import json
+from base64 import b64decode
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -42,7 +45,7 @@ _F8 = 8  # ROS' number of float64
 
 @dataclass(frozen=True, eq=False)
 class FoxgloveBag(Bag):
-    """An MCAP file of Foxglove's messages; `types` has the class of messages of each topic."""
+    """An MCAP file of Foxglove's messages; `types` has the schema of each topic, and what parses its messages."""
 
     def messages(self, topics: Collection[str], at: int | None = None) -> Iterator[tuple[str, int, bytes]]:
         """As `Bag.messages`."""
@@ -59,23 +62,27 @@ class FoxgloveBag(Bag):
 
     def message(self, topic: str, content: bytes) -> Any:
         """As `Bag.message`."""
-        found = self._parsed(topic, content)
-        if self.topics[topic] == _KINDS["foxglove.FrameTransform"]:
-            return SimpleNamespace(transforms=[_transform(one) for one in getattr(found, "transforms", [found])])
-        return _as_ros(found, found.DESCRIPTOR.full_name, f"{self.path}: {topic}: ")
+        with self._whole(topic):
+            name, parse = self.types[topic]
+            found = parse(content)
+            if self.topics[topic] == _KINDS["foxglove.FrameTransform"]:
+                return SimpleNamespace(transforms=[_transform(one) for one in getattr(found, "transforms", [found])])
+            return _as_ros(found, name, f"{self.path}: {topic}: ")
 
     def stamp(self, topic: str, content: bytes) -> int:
         """As `Bag.stamp`."""
-        time = self._parsed(topic, content).timestamp
-        return int(time.seconds) * NANO + int(time.nanos)
+        with self._whole(topic):
+            time = self.types[topic][1](content).timestamp
+            return int(time.seconds) * NANO + int(time.nanos)
 
-    def _parsed(self, topic: str, content: bytes) -> Any:
-        from google.protobuf.message import DecodeError
-
+    @contextmanager
+    def _whole(self, topic: str) -> Iterator[None]:
         try:
-            return self.types[topic].FromString(content)
-        except DecodeError as error:
-            fix = f"Give whole messages of {self.types[topic].DESCRIPTOR.full_name}. The reason: {error}"
+            yield
+        except InvalidInputError:
+            raise
+        except Exception as error:  # neither protobuf nor what lacks a field promises a kind of error
+            fix = f"Give whole messages of {self.types[topic][0]}. The reason: {error!r}"
             raise InvalidInputError(f"{self.path}: {topic}", "a message that is none", fix) from error
 
 
@@ -107,12 +114,33 @@ def open_foxglove(path: Path) -> FoxgloveBag | None:
             summary = make_reader(file).get_summary()
         for channel in () if summary is None else summary.channels.values():
             schema = summary.schemas.get(channel.schema_id)
-            if channel.message_encoding == "protobuf" and schema is not None and schema.name in _KINDS:
+            if schema is not None and schema.name in _KINDS and channel.message_encoding in ("protobuf", "json"):
                 topics[channel.topic] = _KINDS[schema.name]
-                types[channel.topic] = _class_of(schema.name, schema.data)
+                is_json = channel.message_encoding == "json"
+                parse = _of_json if is_json else _class_of(schema.name, schema.data).FromString
+                types[channel.topic] = schema.name, parse
     except Exception:  # noqa: BLE001 - neither package promises a kind of error for damaged content
         return None
     return FoxgloveBag(path, topics, types, is_ros1=False) if topics else None
+
+
+def _of_json(content: bytes) -> SimpleNamespace:
+    """A message in JSON with the fields that one of protobuf has."""
+    found = json.loads(content, object_hook=_object)
+    if hasattr(found, "data"):
+        found.data = b64decode(found.data)
+    return found
+
+
+def _object(fields: dict[str, Any]) -> SimpleNamespace:
+    if fields.keys() == {"sec", "nsec"}:
+        return SimpleNamespace(seconds=fields["sec"], nanos=fields["nsec"])
+    return SimpleNamespace(**fields)
+
+
+def _has(found: Any, name: str) -> bool:
+    """Whether a message has a message inside."""
+    return bool(found.HasField(name) if hasattr(found, "HasField") else hasattr(found, name))
 
 
 def _class_of(name: str, schema: bytes) -> Any:
@@ -154,7 +182,7 @@ def _as_ros(found: Any, name: str, where: str) -> SimpleNamespace:
         parts: dict[str, Any] = {
             "k": found.K,
             "d": found.D,
-            "p": found.P or [0.0] * 12,
+            "p": getattr(found, "P", None) or [0.0] * 12,
             "distortion_model": found.distortion_model,
         }
         size = {"width": found.width, "height": found.height, "binning_x": 0, "binning_y": 0, "roi": region}
@@ -185,7 +213,7 @@ def _cloud(found: Any, header: SimpleNamespace, where: str) -> SimpleNamespace:
         value = f"{len(found.data)} bytes, {found.point_stride} a point"
         raise InvalidInputError(f"{where}data", value, "Give whole clouds.") from error
     points = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    if found.HasField("pose") and found.pose.HasField("orientation"):
+    if _has(found, "pose") and _has(found.pose, "orientation"):
         (x, y, z), turn = ((getattr(found.pose.position, a) for a in "xyz"), found.pose.orientation)
         points = transform(quaternion_pose(np.array([turn.w, turn.x, turn.y, turn.z]), np.array([x, y, z])), points)
     axes = [SimpleNamespace(name=axis, offset=8 * i, datatype=_F8) for i, axis in enumerate("xyz")]

@@ -30,8 +30,8 @@ def _pose(place, turn):
     return matrix
 
 
-@pytest.fixture
-def bag(tmp_path, devkit):
+@pytest.fixture(params=["protobuf", "json"])
+def bag(tmp_path, devkit, request):
     path = tmp_path / "drive.mcap"
     poses = [([0.5 * i, 0.1 * i, 0.0], Rotation.from_euler("z", 0.1 * i)) for i in range(3)]
     plain = {name: (place, turn.as_quat().tolist()) for name, (place, turn) in MOUNTS.items()}
@@ -46,7 +46,7 @@ def bag(tmp_path, devkit):
         "points": POINTS,
         "cloud_pose": (CLOUD[0], CLOUD[1].as_quat().tolist()),
     }
-    devkit("foxglove", "foxglove_writes", path, given=json.dumps(given))
+    devkit("foxglove", "foxglove_writes", path, request.param, given=json.dumps(given))
     return path, [_pose(*one) for one in poses]
 
 

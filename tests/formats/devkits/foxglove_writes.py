@@ -1,4 +1,4 @@
-"""A drive of Foxglove's messages: FILE < JSON of times (ns), poses of the body, image (hex), and points."""
+"""A drive of Foxglove's messages: FILE protobuf|json < JSON of times (ns), poses of the body, image (hex), points."""
 
 import json
 import sys
@@ -12,7 +12,9 @@ from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.json_format import MessageToDict
 from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.writer import Writer as PlainWriter
 from mcap_protobuf.writer import Writer
 
 given = json.load(sys.stdin)
@@ -29,7 +31,39 @@ def put(message, place, turn):
         setattr(message[1], name, value)
 
 
-with Path(sys.argv[1]).open("wb") as file, Writer(file) as writer:
+PLAIN = {"use_integers_for_enums": True, "always_print_fields_with_no_presence": True}
+
+
+def as_json(message):
+    """As Foxglove's JSON schemas have it: as protobuf's own mapping, but for times and numbers of kinds."""
+    found = MessageToDict(message, preserving_proto_field_name=True, **PLAIN)
+    found["timestamp"] = {"sec": message.timestamp.seconds, "nsec": message.timestamp.nanos}
+    for one in (found, *found.get("transforms", ())):
+        one["timestamp"] = found["timestamp"]
+    return json.dumps(found).encode()
+
+
+class JsonWriter:
+    """As the writer of protobuf."""
+
+    def __init__(self, file):
+        self.writer, self.channels = PlainWriter(file), {}
+        self.writer.start()
+
+    def write_message(self, topic, message, log_time, publish_time):
+        if topic not in self.channels:
+            schema = self.writer.register_schema(message.DESCRIPTOR.full_name, "jsonschema", b"{}")
+            self.channels[topic] = self.writer.register_channel(topic, "json", schema)
+        self.writer.add_message(self.channels[topic], log_time, as_json(message), publish_time)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.writer.finish()
+
+
+with Path(sys.argv[1]).open("wb") as file, (JsonWriter if sys.argv[2] == "json" else Writer)(file) as writer:
 
     def write(topic, message, time):
         message.timestamp.CopyFrom(stamp(time))
