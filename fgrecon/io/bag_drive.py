@@ -216,7 +216,10 @@ class BagClouds:
         if motion is None:
             return ()
         bag = self.drive.frames.bag
-        content = next(content for _, _, content in bag.messages([self.topic], at=near[1]))
+        content = next((content for _, _, content in bag.messages([self.topic], at=near[1])), None)
+        if content is None:
+            fix = "Give a whole bag, in which what was indexed is there."
+            raise InvalidInputError(f"{bag.path}: {self.topic}", f"no message at {near[1]}", fix)
         points = cloud_points(bag.message(self.topic, content), f"{bag.path}: {self.topic}: ")
         return (Points(transform(motion, points), origin=motion[:3, 3]),)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 from base64 import b64decode
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +40,14 @@ _KINDS = {
 }
 _NUMBERS = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
 """numpy's names of a field's numbers by Foxglove's, which has those without a sign first; ROS has them second."""
+_PLAIN: dict[str, Callable[[Any], Any]] = {
+    **dict.fromkeys(("frame_id", "parent_frame_id", "child_frame_id", "body_frame_id"), "".__add__),
+    **dict.fromkeys(("encoding", "format", "distortion_model", "name"), "".__add__),
+    **dict.fromkeys(("sec", "nsec", "width", "height", "step", "point_stride", "offset", "type"), int),
+    **dict.fromkeys("xyzw", float),
+    **dict.fromkeys("KDP", lambda values: [float(value) for value in values]),
+}
+"""What JSON must have by the names of fields; each raises where it is something else."""
 _F8 = 8  # ROS' number of float64
 
 
@@ -133,6 +141,8 @@ def _of_json(content: bytes) -> SimpleNamespace:
 
 
 def _object(fields: dict[str, Any]) -> SimpleNamespace:
+    for name in fields.keys() & _PLAIN.keys():
+        fields[name] = _PLAIN[name](fields[name])
     if fields.keys() == {"sec", "nsec"}:
         return SimpleNamespace(seconds=fields["sec"], nanos=fields["nsec"])
     return SimpleNamespace(**fields)

@@ -154,6 +154,8 @@ def test_vins(tmp_path):
         assert camera.matrix.tolist() == MATRIX
     with pytest.raises(InvalidInputError, match=r"projection_parameters\.cy"):
         read_camera(write(path, VINS[: VINS.index("   cy")]))
+    with pytest.raises(InvalidInputError, match="model_type"):
+        read_camera(write(path, VINS.replace("PINHOLE", '""')))
 
 
 def in_bytes():
@@ -221,6 +223,8 @@ def test_nerfstudio(tmp_path):
     assert (camera.distortion_model, camera.distortion.tolist()) == ("fisheye", [*LENS[:2], 0.01, -0.002])
     with pytest.raises(InvalidInputError, match=r"camera_model.*EQUIRECTANGULAR"):
         read_camera(write(path, json.dumps({**transforms(), "camera_model": "EQUIRECTANGULAR"})))
+    with pytest.raises(InvalidInputError, match="camera_model"):
+        read_camera(write(path, json.dumps({**transforms(), "camera_model": {}})))
     del fisheye["camera_model"]
     assert read_camera(write(path, json.dumps({**fisheye, "is_fisheye": True}))).camera.distortion_model == "fisheye"
     alone = transforms()

@@ -135,6 +135,6 @@ def _number(fields: Fields, name: str) -> float:
 def _known(fields: Fields, name: str, known: Collection[Any]) -> str:
     """A lens's name; one that is not solved is refused."""
     found: str = fields.get(name, str)
-    if found not in known and not any(found in pair for pair in known):
+    if not any(found == part for one in known for part in ([one] if isinstance(one, str) else one)):
         raise InvalidInputError(f"{fields.where}{name}", found, UNSOLVED)
     return found

@@ -173,8 +173,10 @@ def nerfstudio_camera(data: Mapping[str, Any], image: str | None, name: str | No
         raise InvalidInputError(f"{where}fl_x", "none for all images", fix)
     default = "OPENCV_FISHEYE" if fields.data.get("is_fisheye") else "OPENCV"  # instant-ngp names no model
     model = fields.data.get("camera_model", default)
-    if model not in _MODELS or (model not in _FISHEYES and fields.data.get("k4")):
-        raise InvalidInputError(f"{place}{'camera_model' if model not in _MODELS else 'k4'}", model, _SOLVED)
+    if not isinstance(model, str) or model not in _MODELS or (model not in _FISHEYES and fields.data.get("k4")):
+        raise InvalidInputError(
+            f"{place}{'k4' if isinstance(model, str) and model in _MODELS else 'camera_model'}", model, _SOLVED
+        )
     numbers = {part: float(fields.numbers(part, ())) for part in ("fl_x", "fl_y", "cx", "cy", "w", "h")}
     numbers |= {part: float(fields.numbers(part, ())) for part in _LENS if part in fields}
     numbers |= {"fx": numbers["fl_x"], "fy": numbers["fl_y"]}
