@@ -190,15 +190,35 @@ def as_evidence(given: Any) -> tuple[Evidence, ...]:
     """Evidence of any kinds as a tuple.
 
     Raises:
-        InvalidInputError: It is no sequence of evidence, or has the same twice.
+        InvalidInputError: It is no sequence of evidence, or has the same twice, or the same measurements.
     """
     found = as_list("evidence", given)
+    known: dict[Any, list[NDArray[Any]]] = {}
     for number, one in enumerate(found):
         if not isinstance(one, Evidence):
             names = ", ".join(f"`{kind.__name__}`" for kind in get_args(Evidence))
             raise InvalidInputError(f"evidence[{number}]", one, f"Give any of {names}.")
-        if any(one is other for other in found[:number]):
-            raise InvalidInputError(
-                f"evidence[{number}]", "what is given before", "Give each once: it would count twice."
-            )
+        again = any(one is other for other in found[:number])
+        name = _MEASURED.get(type(one))
+        if name is not None and len(found) > 1:
+            numbers: NDArray[Any] = getattr(one, name)
+            alike = known.setdefault((type(one), numbers.shape, *getattr(one, "corner", ())), [])
+            again |= any(_is_same(numbers, other) for other in alike)
+            alike.append(numbers)
+        if again:
+            fix = "Give each once: it would count twice."
+            raise InvalidInputError(f"evidence[{number}]", "what is given before", fix)
     return tuple(found)
+
+
+# Where measurements are so many that no two sensors have the same; two of the same range may well be two radars'.
+_MEASURED = {Points: "points", DepthMap: "depth", StereoPair: "image", Mask: "pixels"}
+
+
+def _is_same(one: NDArray[Any], other: NDArray[Any]) -> bool:
+    """Whether two arrays of the same shape hold the same numbers, if any."""
+    some = slice(None, None, max(1, len(one) // 8))  # which tell most others
+    of_floats = one.dtype.kind == "f"
+    if not np.array_equal(one[some], other[some], equal_nan=of_floats):
+        return False
+    return np.array_equal(one, other, equal_nan=of_floats) and bool(np.isfinite(one).any())

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from fgrecon import Observation, Points
+from fgrecon import DepthMap, Mask, Observation, Points, Range, VehicleClass
 from fgrecon.core.evidence import as_evidence
 from fgrecon.errors import InvalidInputError
 
@@ -45,3 +47,26 @@ def test_the_same_evidence_does_not_count_twice() -> None:
         as_evidence([points, points])
     with pytest.raises(InvalidInputError, match=r"^evidence\[1\]"):
         Observation.of(np.zeros((14, 2))).with_evidence([points]).with_evidence([points])
+
+
+def test_equal_measurements_do_not_count_twice() -> None:
+    """A copy is refused as the same is; other measurements, none at all and other places are not."""
+    scan, depth = np.random.default_rng(0).normal(size=(50, 3)), np.full((4, 6), 10.0)
+    depth[0] = np.nan
+    filled = np.zeros((30, 40))
+    filled[5:9, 10:20] = 1
+    for one, other in [
+        (Points(scan), Points(scan.copy(), 0.5)),
+        (DepthMap(depth), DepthMap(depth.copy())),
+        (Mask(filled), Mask(filled > 0, hides=True)),
+    ]:
+        with pytest.raises(InvalidInputError, match=r"^evidence\[2\]: got what is given before"):
+            as_evidence([one, VehicleClass("car"), other])
+        with pytest.raises(InvalidInputError, match=r"^evidence\[1\]"):
+            Observation.of(np.zeros((14, 2))).with_evidence([one]).with_evidence([other])
+    moved = scan.copy()
+    moved[17, 1] += 1e-9
+    nothing = Points(np.zeros((0, 3)))
+    mask = Mask(np.roll(filled, 7, axis=1))
+    assert len(as_evidence([Points(scan), Points(moved), nothing, replace(nothing), Mask(filled), mask])) == 6
+    assert len(as_evidence([Range(9.0, 0.1), Range(9.0, 0.1)])) == 2  # two radars may say the same
