@@ -36,6 +36,7 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.track_reconstruction import TrackReconstruction
+from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.fitted_class import with_fitted_classes
 from fgrecon.solve.graph.graph import GraphObservation
@@ -179,13 +180,18 @@ def _posed(
 
 
 def _model(looked: Sequence[tuple[Observation, Camera, SolveSetup]], setup: SolveSetup) -> VehicleModel:
-    """The vehicle's model: for the class that somebody says, else by its images where the fleet has vans."""
-    known = [one for one, _, _ in looked]
-    if setup.fits_classes and setup.classes_of(known) is None:
-        known = [
-            fitted for one, camera, own in looked for fitted in with_fitted_classes([one], camera, own, own.ground)
-        ]
-    return setup.model_of(known)
+    """The vehicle's model: by what somebody says of its class, and where that is open by its images.
+
+    What is said of it with some images holds in those that say nothing.
+    """
+    said = setup.classes_of([one for one, _, _ in looked])
+    fitted: list[Observation] = []
+    for observation, camera, own in looked:
+        of_class = observation
+        if said is not None and setup.classes_of([observation]) is None:
+            of_class = observation.with_evidence([VehicleClass(said)])
+        fitted += with_fitted_classes([of_class], camera, own, own.ground)
+    return setup.model_of(fitted)
 
 
 def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[Status, str]:

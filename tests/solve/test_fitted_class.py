@@ -92,3 +92,17 @@ def test_images_of_one_vehicle_say_together_which_it_is(vehicles):
     given = [replace(one, evidence=(VehicleClass("car"),)) for one in vehicles]
     car = fgrecon.reconstruct_track([vehicles[1], given[1]], CAMERA, size_prior="kitti_traffic", ground=1.65)
     assert off(car.frames[0], PLACES[1]) > 2.0 * off(mixed.frames[0], PLACES[1]), "what somebody says counts alone"
+
+
+def test_images_of_a_track_decide_what_is_left_open(vehicles):
+    """As single images and a tracker do; what is said with one image holds in all."""
+    said = VehicleClass({"car": 0.75, "van": 0.25})
+    for vehicle, is_van in zip(vehicles, (False, True), strict=True):
+        image = fgrecon.reconstruct(vehicle.with_evidence([said]), CAMERA, ground=1.65)
+        track = fgrecon.reconstruct_track([vehicle.with_evidence([said]), vehicle], CAMERA, ground=1.65)
+        names = {frame.shape.prior for frame in track.frames}
+        assert names == {image.shape.prior}
+        van = float(names.pop().rpartition(" ")[2])
+        assert (van > 0.5) == is_van
+        sure = fgrecon.reconstruct_track([vehicle.with_evidence([VehicleClass("car")]), vehicle], CAMERA, ground=1.65)
+        assert "van" not in sure.frames[1].shape.prior
