@@ -59,12 +59,14 @@ def _photographs(folder: Path) -> None:
     rng = np.random.default_rng(1)
     for car in made_up_source(folder / "photographs").cars:
         write_png(car.image, rng.integers(0, 255, (*car.size[::-1], 3)).astype(np.uint8))
+    plan = "steps = 6\nbatch = 2\nrelabel_at = [2, 4]\nrefine_steps = 4\n"
+    (folder / "training.toml").write_text(f'workers = 0\n\n[[phase]]\nname = "one"\n{plan}', encoding="utf-8")
 
 
-def _training(_: Path, out: Path) -> list[str]:
-    arguments = ["--work", str(out / "work"), "--out", str(out / "w.safetensors"), "--steps", "6", "--batch", "2"]
-    out.mkdir(exist_ok=True)
-    return ["train", *arguments, "--relabel-at", "2,4", "--workers", "0", "--refine-steps", "4"]
+def _training(folder: Path, out: Path) -> list[str]:
+    (out / "work").mkdir(parents=True, exist_ok=True)
+    where = ["--work", str(out / "work"), "--out", str(out / "w.safetensors")]
+    return ["train", *where, "--settings", str(folder / "training.toml")]
 
 
 JOBS: Mapping[str, Job] = {

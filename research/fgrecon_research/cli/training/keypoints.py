@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,7 +18,6 @@ from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Advance, Screen, Terminal, headed_table, stepwise
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
-from fgrecon.core.parsing import parse_numbers
 from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon.io.files import check_output
 from fgrecon.perception.from_image import reconstruct_detection
@@ -108,10 +107,7 @@ def silhouettes_command(
 
 @dataclass(frozen=True)
 class TrainingOptions:
-    """What a training begins with, how much is trained, and where: `Beginning` and `Plan` of the training.
-
-    What is not given is None, so that a settings file has its say.
-    """
+    """What a training is made from, and where; what is not given is None, so that the settings have their say."""
 
     imagenet: Annotated[
         Path | None,
@@ -123,10 +119,6 @@ class TrainingOptions:
         Path | None,
         typer.Option(metavar="FILE", help="A trained network to go on from; it corrects the first labels as well."),
     ] = None
-    start_share: Annotated[
-        float | None,
-        typer.Option(min=0.0, max=1.0, help="Share of that network in the resulting weights.", show_default="0.5"),
-    ] = None
     silhouettes: Annotated[
         Path | None,
         typer.Option(metavar="FOLDER", help="What `fgrecon keypoints silhouettes` wrote: better first labels."),
@@ -135,55 +127,35 @@ class TrainingOptions:
         Path | None,
         typer.Option(metavar="FILE", help="Keypoints marked by hand in photographs that are learnt from (JSON)."),
     ] = None
-    street: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Street cars beside the photographs: what `fgrecon keypoints label` wrote."),
-    ] = None
-    street_share: Annotated[
-        float | None,
-        typer.Option(min=0.0, max=1.0, help="Share of the samples that show those.", show_default="0.5"),
-    ] = None
     without: Annotated[
         str | None,
         typer.Option(metavar="DRIVE,...", help="Drives whose cars are not learnt from: what is scored on them."),
     ] = None
-    steps: Annotated[int | None, typer.Option(help="Gradient steps of KNet.", show_default="5150")] = None
-    batch: Annotated[int | None, typer.Option(help="Samples per step.", show_default="32")] = None
-    relabel_at: Annotated[
-        str | None,
-        typer.Option(metavar="N,N,...", help="Steps at which to correct the labels.", show_default="650,2050,3450"),
-    ] = None
-    refine_steps: Annotated[
-        int | None,
-        typer.Option(help="Gradient steps of the refinement networks; 0 for none more.", show_default="7000"),
-    ] = None
-    rate: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="KNet's learning rate; lower to go on from a network.", show_default="0.001"),
-    ] = None
-    decay: Annotated[
-        float | None,
-        typer.Option(min=0.0, max=1.0, help="Share of the steps over which it falls to zero.", show_default="0.25"),
-    ] = None
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random.", show_default="0")] = None
     device: Annotated[str | None, typer.Option(help="cpu or cuda; mixed precision on a GPU.", show_default="cpu")] = (
         None
     )
     workers: Annotated[int | None, typer.Option(help="Processes that make samples.", show_default="1")] = None
+    trained: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PHASE=FILE", help="A network instead of a phase and of those before; repeat for more."),
+    ] = None
 
-    def given(self) -> dict[str, Any]:
-        """What is given, by name.
+    def applied(self, settings: TrainingSettings) -> TrainingSettings:
+        """Settings with what is given in the place of what they say.
 
         Raises:
-            InvalidInputError: The steps at which to correct the labels are no numbers.
+            InvalidInputError: A phase is given no network, or a value cannot be used.
         """
-        values = {name: value for name, value in vars(self).items() if value is not None}
+        values = {name: value for name, value in vars(self).items() if value is not None and name != "trained"}
         if self.without is not None:
             values["without"] = tuple(name.strip() for name in self.without.split(",") if name.strip())
-        if self.relabel_at is not None:
-            stops = parse_numbers("relabel_at", self.relabel_at, "steps", tuple(range(1, 20)))
-            values["relabel_at"] = tuple(int(number) for number in stops)
-        return values
+        networks = {}
+        for text in self.trained or ():
+            name, _, file = text.partition("=")
+            if not name or not file:
+                raise InvalidInputError("trained", text, "Give PHASE=FILE.")
+            networks[name] = Path(file)
+        return replace(settings, **values).with_trained(networks)
 
 
 def train_command(
@@ -196,64 +168,29 @@ def train_command(
     terminal: Terminal,
     data: DataOption = DATA,
     settings: Annotated[
-        str | None,
+        str,
         typer.Option(
             metavar="NAME|FILE",
             help="Trainings in a chain (TOML); keypoints-car14 is how the shipped networks were made.",
             autocompletion=fitting_names(_settings),
         ),
-    ] = None,
-    trained: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PHASE=FILE", help="A network instead of a phase and of those before; repeat for more."),
-    ] = None,
+    ] = "keypoints-car14",
 ) -> None:
     """Train the networks: labels from boxes, KNet, labels corrected by a factor graph, KNet on, refinement networks.
 
     The data folder has posed_cars, apollo79 and hand_labels. An interrupted run goes on from its last checkpoint when
     it is started again with the same folder. Losses are printed where no progress is shown, and with --verbose.
 
-    With --settings a file says what is trained, in phases that each go on from the one before; options given here take
-    the place of what it says, in every phase.
+    Settings say what is trained, in phases that each go on from the one before; options given here take the place of
+    what they say.
     """
+    from fgrecon_research.training.keypoints.phases import train_phases
+
     check_output(out)
-    screen, given = terminal.screen(), options.given()
-    chosen = _chosen(settings, trained or (), given)
+    screen, chosen = terminal.screen(), options.applied(read_settings(settings))
     with screen.bar(per_minute=True) as advance:
-        display = TrainingDisplay(screen, advance)
-        if chosen is None:
-            from fgrecon_research.training.keypoints.networks import Plan, train_networks
-            from fgrecon_research.training.keypoints.rounds import Beginning
-
-            beginning = Beginning(**_of(Beginning, given))
-            plan = Plan(**_of(Plan, given))
-            train_networks(data, work, out, beginning, plan, display)
-            written: tuple[Path, ...] = (out,)
-        else:
-            from fgrecon_research.training.keypoints.phases import train_phases
-
-            written = train_phases(chosen, data, work, out, label_street, display)
+        written = train_phases(chosen, data, work, out, label_street, TrainingDisplay(screen, advance))
     screen.wrote(*written)
-
-
-def _of(kind: type[Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """What is given of the fields of a dataclass."""
-    return {entry.name: given[entry.name] for entry in fields(kind) if entry.name in given}
-
-
-def _chosen(source: str | None, trained: Sequence[str], given: Mapping[str, Any]) -> TrainingSettings | None:
-    """The settings file with the options in it; None without one."""
-    if source is None:
-        if trained:
-            raise InvalidInputError("trained", trained[0], "Give --settings with it: a phase is one of its trainings.")
-        return None
-    networks = {}
-    for text in trained:
-        name, _, file = text.partition("=")
-        if not name or not file:
-            raise InvalidInputError("trained", text, "Give PHASE=FILE.")
-        networks[name] = Path(file)
-    return read_settings(source).with_options(given).with_trained(networks)
 
 
 _SIZES = (0.0, 60.0, 120.0)  # pixels of the box's longer side from which street cars are counted

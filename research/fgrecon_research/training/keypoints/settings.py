@@ -92,30 +92,6 @@ class TrainingSettings:
             if name not in NEEDED:
                 raise InvalidInputError("settings.needs", name, f"Give some of {', '.join(NEEDED)}.")
 
-    def with_options(self, given: Mapping[str, Any]) -> TrainingSettings:
-        """The same with options of the command line in the place of what the file says.
-
-        Args:
-            given: By name. What the file says of single phases changes in every phase; `street` in those that learn
-                from street cars.
-
-        Raises:
-            InvalidInputError: A value cannot be used, or street cars are given and no phase learns from them.
-        """
-        plan = {name: value for name, value in given.items() if name in _PLAN}
-        shares = {name: given[name] for name in ("start_share", "street_share") if name in given}
-        street = given.get("street")
-        if street is not None and not any(phase.on_street for phase in self.phases):
-            raise InvalidInputError("street", str(street), "Give settings with a phase that has `street` or `drives`.")
-        phases = []
-        for phase in self.phases:
-            changed = replace(phase, plan=replace(phase.plan, **plan), **shares)
-            if street is not None and phase.on_street:
-                changed = replace(changed, street=street, drives=())
-            phases.append(changed)
-        rest = {name: value for name, value in given.items() if name not in (*plan, *shares, "street")}
-        return replace(self, phases=tuple(phases), **rest)
-
     def with_trained(self, networks: Mapping[str, Path]) -> TrainingSettings:
         """The same with trained networks in the place of some phases.
 

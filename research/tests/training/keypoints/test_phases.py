@@ -108,6 +108,10 @@ def test_one_command_makes_both_networks(place, unbroken):
     assert (second["drives"], second["street_share"], second["seed"]) == (["near", "far"], 0.75, 3)
 
 
+def test_quiet(place, unbroken):
+    assert run(place, "work", "whole.safetensors", "-q").output == ""
+
+
 def test_a_run_that_was_killed_ends_like_an_unbroken_one(place, unbroken, monkeypatch):
     replacing, left = files.replacing, 0
 
@@ -183,8 +187,9 @@ def test_a_network_takes_the_place_of_a_phase(place, unbroken):
 
 
 def test_a_phase_that_was_run_otherwise_is_refused(place, unbroken):
-    for options, changed in ((("--steps", 3), "steps: 2 became 3."), (("--seed", 5), "seed: 0 became 5.")):
-        done = run(place, "work", "other.safetensors", *options)
+    for line, changed in (("steps = 3", "steps: 2 became 3."), ("steps = 2\nseed = 5", "seed: 0 became 5.")):
+        (place / "other.toml").write_text(SETTINGS.replace("steps = 2", line, 1))
+        done = run(place, "work", "other.safetensors", settings="other.toml")
         assert isinstance(done.exception, InvalidInputError)
         assert done.exception.field == "phase alone"
         assert changed in done.exception.fix
@@ -203,7 +208,8 @@ def test_a_phase_that_was_run_otherwise_is_refused(place, unbroken):
 def test_street_cars_of_a_file_take_the_place_of_drives(place, unbroken):
     (labels,) = (place / "work" / "street").glob("street-*.json")
     alone = place / "whole-photographs.safetensors"
-    done = run(place, "filed", "filed.safetensors", "--street", labels, "--trained", f"alone={alone}")
+    (place / "filed.toml").write_text(SETTINGS.replace('drives = ["near", "far"]', f'street = "{labels}"'))
+    done = run(place, "filed", "filed.safetensors", "--trained", f"alone={alone}", settings="filed.toml")
     assert done.exit_code == 0, done.output
     assert "Labels of street cars" not in done.stderr
     second = json.loads(load_tensors(place / "filed.safetensors").provenance["settings"])[1]
@@ -222,7 +228,6 @@ def test_street_cars_of_a_file_take_the_place_of_drives(place, unbroken):
         (("--silhouettes", "nowhere"), {}, "silhouettes", "folder"),
         ((), {"workers = 0": 'start = "nowhere"'}, "start", "file"),
         ((), {'drives = ["near", "far"]': 'street = "nowhere.json"'}, "phase street: street", "file"),
-        (("--street", "x.json"), {'drives = ["near", "far"]': ""}, "street", "drives"),
         ((), {'name = "alone"': 'name = "alone"\ndrives = ["near"]'}, "phase alone: drives", "street"),
     ],
 )
@@ -254,13 +259,6 @@ def test_nobody_knows_which_drives_a_given_network_has_seen(place, unbroken):
     assert done.exit_code == 0, done.output
     assert (place / "given.safetensors").read_bytes() == contents(place, "whole")[0]
     assert not (place / "given-photographs.safetensors").exists()
-
-
-def test_phases_belong_to_settings(place, tmp_path):
-    arguments = ["--work", tmp_path / "work", "--out", tmp_path / "n.safetensors", "--trained", "alone=x"]
-    done = CliRunner().invoke(app, ["keypoints", "train", *map(str, arguments)])
-    assert isinstance(done.exception, InvalidInputError)
-    assert "--settings" in done.exception.fix
 
 
 def test_drives_of_which_no_car_can_be_labelled_are_refused(place, unbroken, tmp_path):

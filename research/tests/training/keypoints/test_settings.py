@@ -9,6 +9,7 @@ from fgrecon.core.errors import InvalidInputError
 pytest.importorskip("torch")
 
 from fgrecon.perception.keypoints.network_file import WITHOUT_STREET, shipped
+from fgrecon_research.cli.training.keypoints import TrainingOptions
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.networks import Plan
 from fgrecon_research.training.keypoints.settings import Phase, TrainingSettings, read_settings, shipped_settings
@@ -54,14 +55,10 @@ def test_options_take_the_place_of_what_the_file_says(tmp_path):
     found = read_settings(
         written(tmp_path, f'device = "cuda"\n{ONE}steps = 7\nseed = 1\n[[phase]]\nname = "two"\ndrives = ["a"]\n')
     )
-    given = {"steps": 9, "start_share": 0.1, "device": "cpu", "without": ("a",), "street": Path("s.json")}
-    changed = found.with_options(given)
-    assert [phase.plan.steps for phase in changed.phases] == [9, 9]
-    assert [phase.plan.seed for phase in changed.phases] == [1, 0]
-    assert [phase.start_share for phase in changed.phases] == [0.1, 0.1]
-    assert [(phase.street, phase.drives) for phase in changed.phases] == [(None, ()), (Path("s.json"), ())]
-    assert (changed.device, changed.without) == ("cpu", ("a",))
-    assert found.with_options({}) == found
+    changed = TrainingOptions(device="cpu", without="a, b", trained=["two=t"]).applied(found)
+    assert (changed.device, changed.without) == ("cpu", ("a", "b"))
+    assert [phase.trained for phase in changed.phases] == [None, Path("t")]
+    assert TrainingOptions().applied(found) == found
     assert found.with_trained({"two": Path("t")}).phases[1].trained == Path("t")
 
 
