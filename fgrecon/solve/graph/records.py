@@ -66,8 +66,6 @@ def _record(term: str, factor: gtsam.NonlinearFactor, faces: tuple[str, ...]) ->
     decoded = [decode_key(key) for key in keys]
     planes = [key.low for key in decoded if key.letter == "P"]
     label = faces[planes[0]] + (" level" if len(keys) == 1 else "") if planes else ""
-    if term == "ground":
-        label = "height" if factor.dim() == 1 else "upright"
     if term == EXTRA:
         label = _BY_LETTERS.get("".join(key.letter for key in decoded), "")
     return GraphFactor(term, label, tuple(key_name(key) for key in keys))
