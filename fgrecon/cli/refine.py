@@ -43,10 +43,13 @@ def refine_command(
         Path,
         typer.Argument(
             metavar="BOXES",
-            help="KITTI's object lines of an image, a folder of such files, tracking lines, or nuScenes' submission.",
+            help="KITTI's object lines of an image, a folder of such files, tracking lines; or detections of nuScenes, "
+            "TruckScenes, ZOD (JSON) or Argoverse 2 (feather).",
         ),
     ],
-    images: Annotated[Path, typer.Argument(metavar="IMAGES", help="The image, or the folder of images.")],
+    images: Annotated[
+        Path, typer.Argument(metavar="IMAGES|DATASET", help="The image, the folder of images, or the data set.")
+    ],
     out: Annotated[Path, typer.Option(metavar="FILE|FOLDER", help="For the boxes, in the same format.")],
     options: RefineOptions,
     terminal: Terminal,
@@ -59,8 +62,9 @@ def refine_command(
     are, and so do boxes of which the keypoints say too little or that they contradict: each with its reason.
 
     The camera is that of --calib (a KITTI file, or a folder with one for each image), --camera or --intrinsics; in the
-    folders of KITTI's layout it is found. nuScenes' boxes need --camera with the folder of its tables. Locations are in
-    the frame of KITTI's labels where the calibration says where that is. --verbose lists every box of several images.
+    folders of KITTI's layout it is found. A data set has its own, DATASET#SEQUENCE/CAMERA; nuScenes' images alone need
+    --camera with the folder of its tables. Locations are in the frame of KITTI's labels where the calibration says
+    where that is. --verbose lists every box of several images.
 
     Exit code 0: at least one box was refined; 1: none; 2: bad usage, or no image that can be used.
     """

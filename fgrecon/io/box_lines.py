@@ -16,6 +16,7 @@ import numpy as np
 
 from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D
+from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.files import read_text
@@ -110,6 +111,7 @@ class BoxedImage(Generic[Item_co]):
     image: Path | None  # its file; None where there is none
     source: Path  # the file of the objects
     objects: tuple[Item_co, ...]  # they: lines that are of none included
+    camera: Camera | None = None  # that took it, where its data set tells
 
 
 def boxed_images(boxes: Path, images: Path) -> list[BoxedImage[BoxLine]]:

@@ -9,10 +9,10 @@ in the middle.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.box_lines import BoxedImage, images_of
 from fgrecon.io.json_fields import Fields, read_json
@@ -37,10 +38,17 @@ class SubmittedBox:
     score: float  # its `detection_score`
     place: Mapping[str, str | int]  # what finds it in the file: sample and number within it, from 0
     entry: Mapping[str, Any]  # the box as it is written
+    rotation: Array  # (4,) its quaternion there, w, x, y, z
     world_T_object: Array  # (4, 4) its centre and its axes forward, left, up
     size: Array  # (3,) length, width and height, metres
     world_T_camera: Array  # (4, 4) pose of the camera that took the image
-    corners: Array  # (4,) NaN: a submission has no 2D boxes
+    frame_T_world: Array  # (4, 4) into the frame in which it is written
+    fields: Callable[[Array, Array, Array], dict[str, Any]]  # how centre, size and quaternion are written
+
+    @property
+    def corners(self) -> Array:
+        """(4,) NaN: a submission has no 2D boxes."""
+        return np.full(4, np.nan)
 
     def box(self, offset: Array) -> Box3D | None:
         """The 3D box in the camera's frame; None where it is not in front of the camera.
@@ -60,16 +68,28 @@ class SubmittedBox:
         before = self.box(offset)
         assert before is not None
         size = self.size if box.size is None else box.size
-        place = self.world_T_camera[:3, :3] @ (box.location - offset) + self.world_T_camera[:3, 3]
         up = self.world_T_object[:3, 2]
+        place = transform(self.world_T_camera, box.location - offset) + up * size[2] / 2.0
         half = -0.5 * (box.rotation_y - before.rotation_y)  # the camera's y axis points down
-        turned = _product(np.array([np.cos(half), *(np.sin(half) * up)]), _unit(self.entry["rotation"]))
-        return {
-            **self.entry,
-            "translation": (place + up * size[2] / 2.0).tolist(),
-            "size": size[[1, 0, 2]].tolist(),
-            "rotation": turned.tolist(),
-        }
+        axis = self.frame_T_world[:3, :3] @ up
+        turn = _product(np.array([np.cos(half), *(np.sin(half) * axis)]), self.rotation / np.linalg.norm(self.rotation))
+        return {**self.entry, **self.fields(transform(self.frame_T_world, place), size, turn)}
+
+
+def nuscenes_fields(centre: Array, size: Array, rotation: Array) -> dict[str, Any]:
+    """How nuScenes, TruckScenes and ZOD write centre, length, width, height, and a quaternion w, x, y, z."""
+    return {"translation": centre.tolist(), "size": size[[1, 0, 2]].tolist(), "rotation": rotation.tolist()}
+
+
+class Submitted(Protocol):
+    """Boxes of a file and the images that show them."""
+
+    @property
+    def images(self) -> Sequence[BoxedImage[SubmittedBox]]:
+        """The images that are there, with the boxes that each shows."""
+
+    def content(self, changed: Mapping[int, Mapping[str, Any]]) -> bytes:
+        """The file with other entries for some boxes, by their numbers."""
 
 
 @dataclass(frozen=True)
@@ -79,18 +99,18 @@ class Submission:
     data: Mapping[str, Any]  # the file's content
     images: tuple[BoxedImage[SubmittedBox], ...]  # those of its samples that are there, with the boxes that each shows
 
-    def text(self, changed: Mapping[int, Mapping[str, Any]]) -> str:
+    def content(self, changed: Mapping[int, Mapping[str, Any]]) -> bytes:
         """The JSON of the submission with other entries for some boxes, by their numbers."""
         number, results = 0, {}
         for token, entries in self.data["results"].items():
             results[token] = [changed.get(number + i, entry) for i, entry in enumerate(entries)]
             number += len(entries)
-        return json.dumps({**self.data, "results": results}) + "\n"
+        return f"{json.dumps({**self.data, 'results': results})}\n".encode()
 
 
 def is_submission(path: Path) -> bool:
-    """Whether boxes are nuScenes' by the ending of their file."""
-    return path.suffix.lower() == ".json"
+    """Whether boxes are a submission's by the ending of their file."""
+    return path.suffix.lower() in (".json", ".feather")
 
 
 def read_submission(path: Path, images: Path, tables: NuScenesTables) -> Submission:
@@ -102,7 +122,7 @@ def read_submission(path: Path, images: Path, tables: NuScenesTables) -> Submiss
     Raises:
         InvalidInputError: A file cannot be read or is malformed, or there is none of the images; names file and field.
     """
-    data, results = _read(path)
+    data, results = read_results(path)
     views = _views(images, tables)
     if not views.keys() & results.keys():
         fix = f"Give images of key frames that {tables.folder / 'sample_data.json'} has for the samples of {path}."
@@ -123,17 +143,19 @@ def read_submission(path: Path, images: Path, tables: NuScenesTables) -> Submiss
                         score=float(fields.numbers("detection_score", ())),
                         place={"sample_token": token, "index": place},
                         entry=entry,
+                        rotation=fields.numbers("rotation", (4,)),
                         world_T_object=world_T_object,
                         size=size,
                         world_T_camera=view.world_T_camera,
-                        corners=np.full(4, np.nan),
+                        frame_T_world=np.eye(4),
+                        fields=nuscenes_fields,
                     )
                 )
             number += 1
     return Submission(data, tuple(BoxedImage(name, files[name], path, tuple(own)) for name, own in shown.items()))
 
 
-def _read(path: Path) -> tuple[Mapping[str, Any], Mapping[str, list[Any]]]:
+def read_results(path: Path) -> tuple[Mapping[str, Any], Mapping[str, list[Any]]]:
     """The content of a submission, and its entries by sample."""
     data = read_json(path)
     results = data.get("results") if isinstance(data, Mapping) else None
@@ -160,7 +182,7 @@ def read_boxes_by_sample(path: Path) -> dict[str, list[PlacedBox]]:
     """
     return {
         token: [_placed(Fields(entry, f"{path}: results.{token}[{n}].")) for n, entry in enumerate(entries)]
-        for token, entries in _read(path)[1].items()
+        for token, entries in read_results(path)[1].items()
     }
 
 
@@ -212,11 +234,6 @@ def _best_view(views: list[_View] | tuple[()], centre: Array) -> _View | None:
         if aside <= min(least, 0.5) and 0.0 <= v <= view.size[1]:
             best, least = view, aside
     return best
-
-
-def _unit(quaternion: Any) -> Array:
-    values = np.array(quaternion, dtype=np.float64)
-    return values / np.linalg.norm(values)
 
 
 def _product(first: Array, second: Array) -> Array:

@@ -21,11 +21,13 @@ from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.io.box_lines import Boxed, BoxedImage, BoxLine, boxed_images, text_of
 from fgrecon.io.cameras.camera_source import CameraSource
-from fgrecon.io.files import behind_links, check_output, write_text
+from fgrecon.io.datasets import is_data_set
+from fgrecon.io.datasets.detections import read_detections
+from fgrecon.io.files import behind_links, check_output, write_bytes, write_text
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import calibration_beside, read_calibration
 from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes
-from fgrecon.io.nuscenes_detections import Submission, is_submission, read_submission
+from fgrecon.io.nuscenes_detections import Submitted, is_submission, read_submission
 from fgrecon.io.run_settings import RunSettings
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
@@ -164,7 +166,7 @@ class Refiner:
         """The camera of an image, where the labels' frame is from its own, and the boxes that are refined."""
         if image.image is None:
             raise InvalidInputError("images", f"none of {image.name}", "Give its image.")
-        camera, offset = self._camera(image.image)
+        camera, offset = self._camera(image.image) if image.camera is None else (image.camera, np.zeros(3))
         boxed = [
             (line, box)
             for line in image.objects
@@ -202,9 +204,7 @@ class BoxFiles:
         targets: The files that are written for the images of a folder.
     """
 
-    def __init__(
-        self, boxes: Path, out: Path, images: Sequence[BoxedImage[Any]], submission: Submission | None
-    ) -> None:
+    def __init__(self, boxes: Path, out: Path, images: Sequence[BoxedImage[Any]], submission: Submitted | None) -> None:
         """Take what was read; see `open_boxes`."""
         self.images = list(images)
         self._submission, self._out, self._is_folder = submission, out, boxes.is_dir()
@@ -236,7 +236,7 @@ class BoxFiles:
         if self._is_folder:
             self._write_waiting()
         elif self._submission is not None:
-            write_text(self._out, self._submission.text(changed))
+            write_bytes(self._out, self._submission.content(changed))
         else:
             write_text(self._out, text_of([line for image in self.images for line in image.objects], changed))
 
@@ -252,18 +252,20 @@ def open_boxes(boxes: Path, images: Path, out: Path, tables: str | None) -> BoxF
     """Read boxes, and refuse what could not be written after the work.
 
     Args:
-        boxes: KITTI's object lines of an image, a folder of such files, tracking lines, or nuScenes' submission.
-        images: The image, or the folder of images.
+        boxes: KITTI's object lines of an image, a folder of such files, tracking lines, or a submission.
+        images: The image, or the folder of images; or a data set with what is meant of it.
         out: File, or for a folder of boxes the folder, of the refined boxes.
         tables: Folder of nuScenes' tables, for its submission; or None.
 
     Raises:
         InvalidInputError: A file is malformed, there are no tables or no images, or `out` is that of the boxes.
     """
-    submission = None
-    if is_submission(boxes):
+    submission: Submitted | None = None
+    if is_submission(boxes) and is_data_set(images):
+        submission = read_detections(boxes, images)
+    elif is_submission(boxes):
         if tables is None or not is_nuscenes(Path(tables)):
-            fix = "Give the folder of nuScenes' tables, such as v1.0-mini."
+            fix = "Give the folder of nuScenes' tables, such as v1.0-mini, or a data set for the images."
             raise InvalidInputError("camera", tables or "nothing", fix)
         submission = read_submission(boxes, images, open_nuscenes(Path(tables)))
     boxed: list[BoxedImage[Any]] = [*boxed_images(boxes, images)] if submission is None else [*submission.images]

@@ -1,6 +1,7 @@
 """Every reader against what the devkit makes of the same made-up files: corners to 1e-6 m, pixels to 1e-3."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.io.cameras import read_camera
 from fgrecon.io.datasets import is_data_set, open_drive, open_images, open_sequence, open_video
+from fgrecon.io.export import read_images_file
 from fgrecon.io.sensors.points import read_points
 from fgrecon.perception.sensor_source import SensorSource
 
@@ -250,6 +252,26 @@ def test_the_sweeps_of_a_data_set_are_evidence(written):
             assert np.abs(points.origin - image.camera_T_points[:3, 3]).max() < METRES
     with pytest.raises(InvalidInputError, match="that the images are of"):
         sensors.check(["another.png"])
+
+
+@pytest.mark.parametrize(
+    ("name", "labels"),
+    [("argoverse2", "annotations.feather"), ("waymo", "lidar_box/*.parquet"), ("zod", "objects.json")],
+)
+def test_images_of_a_test_set_are_of_a_moment_without_labels(tmp_path, monkeypatch, name, labels):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    root = WRITERS[name](tmp_path)
+    source = f"{root if name == 'argoverse2' else tmp_path}#{CAMERAS[name]}"
+    before = read_images_file(Path(source))
+    for path in tmp_path.rglob(labels):
+        path.unlink()
+    if name == "zod":
+        file = tmp_path / "trainval-frames-mini.json"
+        file.write_text(file.read_text().replace('"annotations"', '"none"'))
+    assert [frame.labelled for frame in open_drive(source).frames] == [False] * len(before)
+    after = read_images_file(Path(source))
+    assert {file: info.sample_token for file, info in after.items()} == {f: i.sample_token for f, i in before.items()}
+    assert all(info.world_T_vehicle is not None for info in after.values())
 
 
 def test_cameras_whose_images_have_the_same_names_need_one_named(tmp_path):

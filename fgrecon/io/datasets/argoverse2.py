@@ -25,7 +25,7 @@ from fgrecon.io.json_fields import within
 _POSES, _CALIBRATION = "city_SE3_egovehicle.feather", "calibration"
 _LIDAR = "up_lidar"
 _SECONDS = 1e-9  # of a timestamp
-_QUATERNION, _PLACE, _SIZE = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m"), ("length_m", "width_m", "height_m")
+QUATERNION, PLACE, SIZE = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m"), ("length_m", "width_m", "height_m")
 _NEAREST_NS = {"ring": 25_000_000, "stereo": 100_000_000}  # the devkit's: half of the interval of such cameras
 _CARS = {"REGULAR_VEHICLE": "Car"}
 
@@ -35,21 +35,22 @@ def _read(name: str, log: Path) -> DataSequence:
     poses = _poses(read_columns(log / _POSES), "timestamp_ns")
     mounts = _poses(read_columns(log / _CALIBRATION / "egovehicle_SE3_sensor.feather"), "sensor_name")
     boxes = _boxes(log / "annotations.feather", poses) if (log / "annotations.feather").is_file() else {}
+    scans = {int(file.stem): file for file in sorted((log / "sensors" / "lidar").glob("*.feather"))}
     moments = {
         str(time): Moment(
             name=str(time),
             time=time * _SECONDS,
             world_T_vehicle=_pose_at(poses, time, log),
-            boxes=tuple(found),
+            boxes=tuple(boxes.get(time, ())),
+            labelled=time in boxes,
         )
-        for time, found in boxes.items()
+        for time in sorted({*boxes, *scans})
     }
-    scans = {int(file.stem): file for file in sorted((log / "sensors" / "lidar").glob("*.feather"))}
     images = []
     for camera, lens in _lenses(read_columns(log / _CALIBRATION / "intrinsics.feather")).items():
         files = {int(p.stem): p for p in sorted((log / "sensors" / "cameras" / camera).glob("*.jpg"))}
         farthest = _NEAREST_NS.get(camera.split("_")[0], 0)
-        shows, scanned = (_nearest(sorted(files), sorted(times), farthest) for times in (boxes, scans))
+        shows = _nearest(sorted(files), sorted({*boxes, *scans}), farthest)
         images += [
             CameraImage(
                 camera=camera,
@@ -60,7 +61,7 @@ def _read(name: str, log: Path) -> DataSequence:
                 vehicle_T_camera=mounts[camera],
                 world_T_vehicle=_pose_at(poses, time, log),
                 moment=None if time not in shows else str(shows[time]),
-                sweep=None if (at := scanned.get(time)) is None else Sweep(scans[at], _pose_at(poses, at, log)),
+                sweep=Sweep(scans[at], _pose_at(poses, at, log)) if (at := shows.get(time)) in scans else None,
             )
             for time, file in files.items()
         ]
@@ -77,7 +78,7 @@ def _logs(path: Path) -> dict[str, Path]:
 
 def _poses(table: Columns, key: str) -> Mapping[Any, Array]:
     """(4, 4) poses by what a column names."""
-    return dict(zip(table.values(key), table.poses(_QUATERNION, _PLACE), strict=True))
+    return dict(zip(table.values(key), table.poses(QUATERNION, PLACE), strict=True))
 
 
 def _pose_at(poses: Mapping[Any, Array], time: int, log: Path) -> Array:
@@ -102,7 +103,7 @@ def _boxes(path: Path, poses: Mapping[Any, Array]) -> dict[int, list[WorldBox]]:
     """The boxes of each labelled sweep by its time."""
     table = read_columns(path)
     found: dict[int, list[WorldBox]] = defaultdict(list)
-    places, sizes = table.poses(_QUATERNION, _PLACE), table.numbers(*_SIZE)
+    places, sizes = table.poses(QUATERNION, PLACE), table.numbers(*SIZE)
     columns = (table.values(name) for name in ("timestamp_ns", "track_uuid", "category"))
     for i, (time, track, kind) in enumerate(zip(*columns, strict=True)):
         city_T_vehicle = _pose_at(poses, int(time), path.parent)

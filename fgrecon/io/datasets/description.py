@@ -101,7 +101,7 @@ class CameraImage:
         time: Seconds, by the data set's clock.
         vehicle_T_camera: (4, 4) how it is mounted on the vehicle, in the vehicle's frame of the data set.
         world_T_vehicle: (4, 4) pose of the vehicle when the image was taken.
-        moment: The moment whose boxes are those of the image; None where it has not been labelled.
+        moment: The moment whose boxes are those of the image; None where it is of none.
         sweep: The LiDAR's that belongs to it, or None.
         content: Gives the file, where the data set has it inside a table; it is then unpacked to `path`.
     """
@@ -139,19 +139,21 @@ class CameraImage:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """When objects were labelled, all around at once.
+    """When objects are labelled, or to be found in a test set, all around at once.
 
     Attributes:
         name: What the data set calls it, such as the token of a sample.
         time: Seconds, by the data set's clock.
         world_T_vehicle: (4, 4) pose of the vehicle then.
         boxes: The objects.
+        labelled: Whether somebody has looked for them.
     """
 
     name: str
     time: float
     world_T_vehicle: Array
     boxes: tuple[WorldBox, ...]
+    labelled: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +243,7 @@ def _frame(number: int, image: CameraImage, drive: DataSequence, tracks: dict[st
         objects=objects,
         tracks=np.array([tracks.setdefault(box.track or box.name, len(tracks)) for box, _ in visible], dtype=np.int64),
         usable=np.ones(len(visible), dtype=bool),
-        labelled=image.moment is not None,
+        labelled=moment is not None and moment.labelled,
         calibration=KittiCalibration(image.lens, np.zeros(3), image.camera_T_points),
         time=image.time if drive.continuous else None,
         world_T_camera=image.world_T_camera if drive.continuous else None,

@@ -46,7 +46,8 @@ def _read(name: str, path: Path) -> DataSequence:
     labels = path / _BOXES / f"{name}.parquet"
     boxes = _boxes(read_columns(labels), at) if labels.is_file() else {}
     moments = {
-        str(time): Moment(str(time), time * _MICROSECONDS, at[time], tuple(found)) for time, found in boxes.items()
+        str(time): Moment(str(time), time * _MICROSECONDS, pose, tuple(boxes.get(time, ())), time in boxes)
+        for time, pose in at.items()
     }
     lenses, mounts = _cameras(read_columns(path / _CAMERAS / f"{name}.parquet"))
     file = path / _IMAGES / f"{name}.parquet"
@@ -68,7 +69,7 @@ def _read(name: str, path: Path) -> DataSequence:
                 lens=lenses[camera],
                 vehicle_T_camera=mounts[camera],
                 world_T_vehicle=pose,
-                moment=str(time) if time in boxes else None,
+                moment=str(time) if time in at else None,
                 content=partial(_jpeg, file, row),
             )
         )

@@ -66,11 +66,13 @@ def _read(name: str, entry: Fields) -> DataSequence:
     }
     labels = Fields(entry.data.get("annotations") or {}, f"{entry.where}annotations.").data.get("object_detection")
     world_T_vehicle = poses.at(0, key)
-    moments = {}
-    if labels is not None and world_T_vehicle is not None:
-        file = root / Fields(labels, f"{entry.where}annotations.object_detection.").get("filepath", str)
-        boxes = _boxes(file, world_T_vehicle @ vehicle_T_lidar, tuple(shots))
-        moments[name] = Moment(name, key, world_T_vehicle, boxes)
+    moments: dict[str, Moment] = {}
+    boxes: tuple[WorldBox, ...] = ()
+    if world_T_vehicle is not None:
+        if labels is not None:
+            file = root / Fields(labels, f"{entry.where}annotations.object_detection.").get("filepath", str)
+            boxes = _boxes(file, world_T_vehicle @ vehicle_T_lidar, tuple(shots))
+        moments[name] = Moment(name, key, world_T_vehicle, boxes, labels is not None)
     sweeps = {}
     for number, scan in enumerate(Fields(entry.data.get("lidar_frames") or {}, entry.where).data.get(_LIDAR) or ()):
         scan = Fields(scan, f"{entry.where}lidar_frames.{_LIDAR}[{number}].")
