@@ -141,7 +141,7 @@ class TrainingOptions:
     ] = None
 
     def applied(self, settings: TrainingSettings) -> TrainingSettings:
-        """Settings with what is given in the place of what they say.
+        """Settings with what is given instead of what they say.
 
         Raises:
             InvalidInputError: A phase is given no network, or a value cannot be used.
