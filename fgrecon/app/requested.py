@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from typing import Any, Self
@@ -124,7 +125,8 @@ class Requested:
             return None
         (value,) = parse_numbers(name, text, "a number", (1,))
         if not lowest <= value <= highest:
-            raise InvalidInputError(name, text, f"Give a number from {lowest:g} to {highest:g}.")
+            wanted = f"from {lowest:g} to {highest:g}" if highest < math.inf else f"of at least {lowest:g}"
+            raise InvalidInputError(name, text, f"Give a finite number {wanted}.")
         return value
 
     def settings(self, *, history: bool | None = None) -> RunSettings:
@@ -136,7 +138,7 @@ class Requested:
         Raises:
             InvalidInputError: A value cannot be used.
         """
-        height = self.number("camera_height", 0.0, float("inf"))
+        height = self.number("camera_height", 0.0, math.inf)
         plane = parse_ground(self.ground or None, height)
         options = Options(
             strategy=self.strategy or StrategyName.MIXTURE,

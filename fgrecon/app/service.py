@@ -93,10 +93,17 @@ async def _reconstruct(request: Request) -> Response:
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind not in KINDS:
         raise HTTPException(415, f"The body is {kind or 'of no kind'}. Give one of {', '.join(KINDS)}.")
+    if (coding := request.headers.get("content-encoding", "identity")) != "identity":
+        raise HTTPException(415, f"The body is coded as {coding}. Give it as it is.")
     requested = Requested.of(request.query_params.multi_items())
+
+    async def wanted() -> None:
+        if await request.is_disconnected():
+            raise ClientDisconnect
+
     with workers.place():
         body = await read_body(request, request.app.state.limits)
-        text = await workers({KINDS[kind]: body}, results_text, Uploaded(KINDS[kind]), requested)
+        text = await workers.when_wanted(wanted, {KINDS[kind]: body}, results_text, Uploaded(KINDS[kind]), requested)
     return Response(text, media_type="application/json")
 
 

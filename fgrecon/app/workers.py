@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -16,6 +16,7 @@ from fgrecon.core.errors import FgreconError
 from fgrecon.io.isolated import Isolated
 
 T = TypeVar("T")
+_TOO_LONG = "Give fewer vehicles, or a smaller image, or start the server with more --seconds."
 
 
 class BusyError(FgreconError, RuntimeError):
@@ -34,7 +35,7 @@ class Workers:
             seconds: After which work on a piece is given up.
         """
         self._limits, self._inside, self.count = limits, 0, count
-        self._all = [Isolated(seconds) for _ in range(count)]
+        self._all = [Isolated(seconds, _TOO_LONG) for _ in range(count)]
         self._threads = ThreadPoolExecutor(count)
         self._free: asyncio.LifoQueue[Isolated] = asyncio.LifoQueue()
         for one in self._all:
@@ -65,6 +66,22 @@ class Workers:
         finally:
             self._inside -= 1
 
+    async def when_wanted(
+        self,
+        wanted: Callable[[], Awaitable[None]],
+        files: Mapping[str, bytes | Path],
+        work: Callable[..., T],
+        *args: Any,
+    ) -> T:
+        """As a call, but what `wanted` raises when a worker is free ends it: whoever asked may be gone by then."""
+        worker = await self._free.get()
+        try:
+            await wanted()
+        except BaseException:
+            self._free.put_nowait(worker)
+            raise
+        return await self._done(worker, files, work, *args)
+
     async def __call__(self, files: Mapping[str, bytes | Path], work: Callable[..., T], *args: Any, **kwargs: Any) -> T:
         """What a function makes of some files, which are in a folder of their own as long as it works.
 
@@ -78,7 +95,11 @@ class Workers:
             InvalidInputError: The process died of it, or took too long or too much memory.
             FgreconError: What the function raises.
         """
-        worker = await self._free.get()
+        return await self._done(await self._free.get(), files, work, *args, **kwargs)
+
+    async def _done(
+        self, worker: Isolated, files: Mapping[str, bytes | Path], work: Callable[..., T], *args: Any, **kwargs: Any
+    ) -> T:
         loop = asyncio.get_running_loop()
         done = loop.run_in_executor(self._threads, partial(_in_folder, worker, files, work, *args, **kwargs))
         done.add_done_callback(lambda _: self._free.put_nowait(worker))  # and not when whoever asked is gone

@@ -42,13 +42,14 @@ serve(memory)
 class Isolated:
     """A child process for one piece of work after the other; a context manager."""
 
-    def __init__(self, seconds: float = 120.0) -> None:
+    def __init__(self, seconds: float = 120.0, late: str = "Give an undamaged file.") -> None:
         """Prepare it.
 
         Args:
             seconds: After which a piece of work is given up, the start of the process included.
+            late: What to do about work that took longer.
         """
-        self._seconds = seconds
+        self._seconds, self._late = seconds, late
         self._process: subprocess.Popen[bytes] | None = None
         self._begun = False
 
@@ -100,8 +101,7 @@ class Isolated:
             raise InvalidInputError(source, "damaged: it kills its decoder", _FIX) from error
         except LateError as error:
             self.close()
-            value = f"nothing after {self._seconds:g} seconds of decoding"
-            raise InvalidInputError(source, value, "Give an undamaged file.") from error
+            raise InvalidInputError(source, f"nothing after {self._seconds:g} seconds", self._late) from error
         if isinstance(answer, MemoryError) and not good:
             raise InvalidInputError(source, "more than fits into memory", _FIX) from answer
         if not good:

@@ -99,3 +99,8 @@ def test_the_code_of_a_photograph_compiles():
     compile(code, "code", "exec")
     assert "boxes=[(1,2,30,40), (5,6,70,80)]" in code
     assert "fgrecon.Camera.of((721.5,721.5,609.6,172.9), [0.1,0,0,0])" in code
+
+
+def test_a_number_without_a_largest_one_is_told_as_such():
+    with pytest.raises(InvalidInputError, match=r"camera_height: got -1\. Give a finite number of at least 0\."):
+        Requested(camera_height="-1").settings()
