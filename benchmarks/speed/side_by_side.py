@@ -32,6 +32,9 @@ DRIVE = Path("kitti_video") / "drive_0095"
 """The frames of a run, within the data."""
 
 FPS = 10.0
+MAX_DELAYS = (0.15, 0.3)
+"""Seconds of a frame's delay that may be, in turn."""
+
 PACED = Path(__file__).with_name("paced_run.py")
 LIBRARIES = (
     *("ONNX Runtime", "GTSAM's elimination", "GTSAM's optimiser, callbacks in it"),
@@ -107,7 +110,28 @@ class SideBySide:
             "A frame arrives when it is due, whether the build is ready or not; its estimates are there when the "
             "tracker has them. The first ten frames, in which things are loaded, do not count."
         )
+        base, *others = self.builds
+        for seconds in MAX_DELAYS:
+            for build in others:
+                said = [self._live(build, seconds) for _ in range(self.repeats)]
+                low, high = (sorted(one[key] for one in said) for key in ("median", "p95"))
+                left = sorted(one["left out"] for one in said)
+                table.notes.append(
+                    f"{build.name}, `--max-delay {seconds:g}`, which {base.name} does not have: median {low[0]:.0f} to "
+                    f"{low[-1]:.0f} ms, p95 {high[0]:.0f} to {high[-1]:.0f}; {left[0]:.0f} to {left[-1]:.0f} frames "
+                    "left out."
+                )
         return table
+
+    def _live(self, build: Build, seconds: float) -> Numbers:
+        """Delays in milliseconds, and how many frames are left out, where none may take longer."""
+        out, report = self.folder / "out", self.folder / "live.json"
+        shutil.rmtree(out, ignore_errors=True)
+        command = [*self.command("--online", "--max-delay", str(seconds)), "--out", str(out), "--json", str(report)]
+        timed(build, ["-m", "fgrecon", *command], self.folder)
+        said = json.loads(report.read_text(encoding="utf-8"))
+        delays = {name: 1e3 * delay for name, delay in said["delay_seconds"].items()}
+        return {"left out": float(said["left_out"]), **delays}
 
     def shares(self) -> Table:
         """Where each millisecond goes: CPU time of the stages of a smoothed run."""

@@ -99,6 +99,15 @@ class VehicleOptions:
     alone: Annotated[bool, typer.Option("--alone", help="Take every image on its own: no motion, no smoothing.")] = (
         False
     )
+    max_delay: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Let frames come as from a camera, by their times, and leave out those whose estimates would be there "
+            "later than this; with --online or --alone.",
+            show_default="every frame is taken",
+        ),
+    ] = None
     together: TogetherOption = True
 
 

@@ -207,6 +207,8 @@ def document(job: VideoJob, run: VideoRun) -> str:
         "together": job.request.together and not job.request.alone,
         "estimates": run.estimates,
         "gaps": run.gaps,
+        "left_out": run.left_out,
+        "delay_seconds": dict(zip(("median", "p95", "most"), run.delay_quantiles or [None] * 3, strict=True)),
         "tracks": [
             {"id": identity, "frames": len(numbers), "first": numbers[0], "last": numbers[-1]}
             for identity, numbers in sorted(frames.items())

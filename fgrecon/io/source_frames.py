@@ -21,6 +21,7 @@ class SourceFrame:
         image: (H, W, 3) RGB bytes; None where it cannot be used.
         problem: Why not, or None.
         other_size: Whether that is because it has another size than the first, and so another camera.
+        left_out: Whether that is because nobody is to look at it, nor at what is given for it.
     """
 
     number: int
@@ -29,6 +30,7 @@ class SourceFrame:
     image: NDArray[np.uint8] | None
     problem: str | None = None
     other_size: bool = False
+    left_out: bool = False
 
 
 def sized(frame: SourceFrame, size: tuple[int, ...] | None, name: str) -> SourceFrame:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.video.given import Given, read_given
     from fgrecon.video.image_tracker import ImageTracker
     from fgrecon.video.motion_estimator import MotionEstimator
+    from fgrecon.video.newest import Newest
     from fgrecon.video.records import FrameRecord, Sighting
     from fgrecon.video.rows import frame_lines, rows_of, tracking_text
     from fgrecon.video.run import VideoRun, run_video
@@ -47,6 +48,7 @@ __all__ = [
     "Given",
     "ImageTracker",
     "MotionEstimator",
+    "Newest",
     "Sighting",
     "SingleImageTracker",
     "SourceFrame",

@@ -60,7 +60,8 @@ class FrameDetector:
     def vehicles(self, frame: SourceFrame) -> Sequence[Sighting]:
         """The vehicles of a frame, keypoints of those alone for which they were given; the arguments are the call's."""
         if self.given is not None:
-            return () if frame.other_size else self._of_classes(self.given.get(frame.number, ()), frame.image)
+            empty = frame.other_size or frame.left_out
+            return () if empty else self._of_classes(self.given.get(frame.number, ()), frame.image)
         if frame.image is None:
             return ()
         assert self._vehicles is not None

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from itertools import pairwise, zip_longest
@@ -35,6 +35,7 @@ from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector
 from fgrecon.video.frame_store import FrameStore
 from fgrecon.video.motion_estimator import MotionEstimator
+from fgrecon.video.newest import LEFT_OUT, LiveFrames
 from fgrecon.video.records import (
     FORMAT,
     FrameRecord,
@@ -69,6 +70,7 @@ class VideoRun:
         smoothed: Whether the estimates of a frame know what came after it.
         frames: The frames so far, in a file: each is read when it is looked at.
         warnings: What is given by frame and is not of these frames.
+        delays: Seconds from the coming of a frame until its estimates were there; none where they do not come live.
     """
 
     total: int | None
@@ -77,11 +79,26 @@ class VideoRun:
     smoothed: bool = False
     frames: FrameStore = field(default_factory=FrameStore)
     warnings: list[str] = field(default_factory=list)
+    delays: Collection[float] = ()
 
     @property
     def gaps(self) -> dict[str, str]:
         """Why frames could not be read, by their names."""
-        return {head.name: head.problem for head in self.frames.heads if head.problem is not None}
+        problems = {head.name: head.problem for head in self.frames.heads if head.problem is not None}
+        return {name: problem for name, problem in problems.items() if not problem.endswith(LEFT_OUT)}
+
+    @property
+    def left_out(self) -> int:
+        """How many frames were left out because a newer one had come."""
+        return sum(head.problem is not None and head.problem.endswith(LEFT_OUT) for head in self.frames.heads)
+
+    @property
+    def delay_quantiles(self) -> tuple[float, float, float] | None:
+        """Median, 95th percentile and largest of the delays, seconds; None where there are none."""
+        if not self.delays:
+            return None
+        middle, high, most = np.percentile([*self.delays], [50.0, 95.0, 100.0]).tolist()
+        return middle, high, most
 
     @property
     def tracks(self) -> dict[int, int]:
@@ -103,11 +120,14 @@ class VideoRun:
     def summary(self) -> str:
         """What it was, in a sentence."""
         gaps = f", {len(self.gaps)} of them gaps" if self.gaps else ""
+        gaps += f", {self.left_out} left out for newer ones" if self.left_out else ""
         before = f"; {self.before} {'was' if self.before == 1 else 'were'} looked at before" if self.before else ""
         how = "smoothed" if self.smoothed else "each estimate as of its frame"
         went = "" if self.way is None else f"; the camera went {self.way:.1f} m"
         parts = (counted(len(self.frames), "frame") + gaps, counted(len(self.tracks), "car"))
-        return f"{', '.join(parts)}, {counted(self.estimates, 'estimate')}, {how}{went}{before}."
+        late = self.delay_quantiles
+        delay = "" if late is None else f"; delay {1e3 * late[0]:.0f} ms, of 95 % up to {1e3 * late[1]:.0f} ms"
+        return f"{', '.join(parts)}, {counted(self.estimates, 'estimate')}, {how}{went}{before}{delay}."
 
     def smooth(self, follower: Follower) -> None:
         """Put the smoother's estimates in the place of the first ones, as far back as it goes.
@@ -140,7 +160,7 @@ def run_video(
     *,
     settings: Mapping[str, Any],
     motion: MotionEstimator | None = None,
-    online: bool = False,
+    online: bool | LiveFrames = False,
     go_on: Callable[[VideoRun, SourceFrame | None], bool] = lambda run, frame: True,  # noqa: ARG005 - to the end
 ) -> VideoRun:
     """Look at the frames of a source that are not stored yet, and follow the vehicles through all of them.
@@ -152,7 +172,8 @@ def run_video(
         out: Folder of the run; records go to a folder in it.
         settings: What the records depend on, as plain values; a folder is for one such.
         motion: Estimates the camera's motion, a new one; None where it is not estimated.
-        online: Whether estimates stay as they were when their frame came, until `VideoRun.smooth`.
+        online: Whether estimates stay as they were when their frame came, until `VideoRun.smooth`. `LiveFrames`: so it
+            is, and frames come live, one frame and stage after the other.
         go_on: Called after each frame with the run and the frame's pixels, None for what runs before had looked at;
             returns whether to go on.
 
@@ -173,8 +194,9 @@ def run_video(
         check_coverage(planned_frames(source) or (), *given)
     begin(out / RECORDS, settings, FORMAT)
     run = VideoRun(source.count, frames=FrameStore(folder=out))
-    with claimed(out / RECORDS), short_turns(AHEAD), rare_collections():
-        records = _Records(source, out, frame_detector, motion, settings)
+    live = online if isinstance(online, LiveFrames) else None
+    with claimed(out / RECORDS), short_turns(0 if live else AHEAD), rare_collections():
+        records = _Records(source, out, frame_detector, motion, settings, live)
         run.before = len(records.stored)
         try:
             for record, frame in records.records():
@@ -184,6 +206,7 @@ def run_video(
                     break
         finally:
             records.close()
+    run.delays = () if live is None else live.delays
     if not run.stopped:
         frames = [(head.number, head.time) for head in run.frames.heads]
         check_coverage(frames, *given)
@@ -223,8 +246,10 @@ class _Records:
         frame_detector: FrameDetector,
         motion: MotionEstimator | None,
         settings: Mapping[str, Any],
+        live: LiveFrames | None,
     ) -> None:
         self._source, self._frame_detector, self._motion = source, frame_detector, motion
+        self._live, self._most = live, 0 if live else AHEAD
         self._reading: Iterator[SourceFrame] | None = None
         self._stages: Generator[_RecordedFrame] | None = None
         self._last_read = -1
@@ -251,7 +276,7 @@ class _Records:
         """Whether a frame comes after this one, the last of `records`; it is read for it, since heads of files err."""
         if self._last_read > number:
             return True
-        if AHEAD and self._stages is not None:
+        if (self._most or self._live) and self._stages is not None:
             return next(self._stages, None) is not None
         return next(self._reading or self._source.read(number), None) is not None
 
@@ -266,11 +291,12 @@ class _Records:
         before = next((record for record in reversed(whole) if record.problem is None), None)
         # The motion since the last image needs that image.
         self._reading = self._source.read(last if moving is None or before is None else before.number - 1)
-        frames = made_ahead(self._noted(self._reading), AHEAD, "frames")
-        boxed = made_ahead(self._boxed(frames, last, len(whole)), AHEAD, "boxes")
-        recorded = made_ahead(self._recorded(boxed), AHEAD, "keypoints")
+        read = self._noted(self._reading)
+        frames = self._live(read, last) if self._live else made_ahead(read, self._most, "frames")
+        boxed = made_ahead(self._boxed(frames, last, len(whole)), self._most, "boxes")
+        recorded = made_ahead(self._recorded(boxed), self._most, "keypoints")
         moved = recorded if moving is None else self._moved_to(recorded, moving, before)
-        self._stages = made_ahead(moved, 0 if moving is None else AHEAD, "motion")
+        self._stages = made_ahead(moved, 0 if moving is None else self._most, "motion")
         for one in self._stages:
             if one.record is None:
                 continue
@@ -280,7 +306,7 @@ class _Records:
                 self._motions.add(motion_to_table(one.record))
             yield one.record, one.frame
 
-    def _noted(self, frames: Iterator[SourceFrame]) -> Iterator[SourceFrame]:
+    def _noted(self, frames: Iterator[SourceFrame]) -> Generator[SourceFrame]:
         for frame in frames:
             self._last_read = frame.number
             yield frame

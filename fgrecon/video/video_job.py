@@ -55,6 +55,7 @@ from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector
 from fgrecon.video.given import Given, in_words, read_given
 from fgrecon.video.motion_estimator import MotionEstimator
+from fgrecon.video.newest import LiveFrames, as_max_delay
 from fgrecon.video.records import FrameRecord
 from fgrecon.video.rows import flattened, frame_lines, rows_of, tracking_text
 from fgrecon.video.run import VideoRun, run_video
@@ -88,6 +89,8 @@ class VideoRequest:
         device: Where the networks run: `cpu`, `cuda` or `cuda:1`.
         online: Whether estimates stay as they were when their frame came.
         alone: Whether every image is taken on its own: no motion, no smoothing.
+        max_delay: Frames come as from a camera, and none has its estimates later than so many seconds after that, as
+            far as possible (`run_video`); needs one of the two before. None: each comes when it is wanted.
         together: Whether the vehicles of an image share its ground.
         video: Annotated video that is to be written afterwards, or None.
         picture_frame: Frame that is to be drawn afterwards, or None.
@@ -111,6 +114,7 @@ class VideoRequest:
     device: str = "cpu"
     online: bool = False
     alone: bool = False
+    max_delay: float | None = None
     together: bool = True
     video: Path | None = None
     picture_frame: int | None = None
@@ -170,6 +174,9 @@ def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
     refuse_batch(request.out)
     if request.video is not None:
         check_video(request.video)
+    if as_max_delay(request.max_delay) is not None and not (request.online or request.alone):
+        fix = "Give `online` or `alone` (--online, --alone): smoothed estimates are there when vehicles have gone."
+        raise InvalidInputError("max_delay", request.max_delay, fix)
     ground, options = request.settings.ground, request.settings.options
     if ground is not None and ground.is_vague:
         fix = "Give the plane, NX,NY,NZ,D, or leave it out: vehicles are distinguished by where they stand."
@@ -396,7 +403,7 @@ def track_video(
         sense=job.sense,
         estimated=estimated or request.online or request.alone,
     )
-    with warnings.catch_warnings(), summed_up(), _threads_beside_solving():
+    with warnings.catch_warnings(), summed_up(), _threads_beside_solving(0 if request.max_delay else 1):
         warnings.simplefilter("ignore", UncoveredFramesWarning)  # said below
         run = run_video(
             job.source,
@@ -405,7 +412,7 @@ def track_video(
             request.out,
             settings=job.records_depend_on,
             motion=MotionEstimator(job.camera, ground) if job.moving and ground is not None else None,
-            online=True,
+            online=True if request.max_delay is None else LiveFrames(request.max_delay),
             go_on=_settling(job, follower, gone, go_on),
         )
     if not (request.online or request.alone):
@@ -448,11 +455,11 @@ def _settling(
 
 
 @contextmanager
-def _threads_beside_solving() -> Iterator[None]:
-    """Within it networks that are made, and OpenCV, leave one of the free cores to the solver."""
+def _threads_beside_solving(cores: int) -> Iterator[None]:
+    """Within it networks that are made, and OpenCV, leave so many of the free cores to the solver."""
     import cv2
 
-    threads, before = max(1, threads_of_networks() - 1), cv2.getNumThreads()
+    threads, before = max(1, threads_of_networks() - cores), cv2.getNumThreads()
     cv2.setNumThreads(min(before, threads))
     try:
         with at_most(threads):

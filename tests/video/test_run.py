@@ -2,6 +2,7 @@
 
 import sys
 import threading
+import time
 from dataclasses import fields, replace
 
 import numpy as np
@@ -31,6 +32,7 @@ from fgrecon.video import (
 )
 from fgrecon.video.camera_path import CameraPath
 from fgrecon.video.coverage import coverage_warnings, planned_frames
+from fgrecon.video.newest import LEFT_OUT, LiveFrames
 from fgrecon.video.video_job import VideoRequest, prepare_video, track_video
 from tests.video.streets import make_drive
 
@@ -327,3 +329,38 @@ def test_kittis_frames_from_pixels(data, tmp_path):
 def test_what_was_looked_at_before_is_in_good_english():
     assert VideoRun(None, before=1).summary.endswith("; 1 was looked at before.")
     assert VideoRun(None, before=2).summary.endswith("; 2 were looked at before.")
+
+
+def test_a_live_run_leaves_out_what_it_is_too_slow_for(drive, tmp_path):
+    """What it looked at is stored: run again it gives the same, and left out stays what was."""
+
+    class Slow(Counting):
+        def record(self, frame, vehicles):
+            if frame.image is not None:
+                time.sleep(0.25)
+            return super().record(frame, vehicles)
+
+    def go(most):
+        look = Slow(CAR14, given=read_given(drive[1], CAR14).vehicles)
+        path, tracker = CameraPath(moving=True), SingleImageTracker(prior="car14")
+        follower = Follower(tracker, GatedAssociation(), KITTI_CAMERA, ground=GROUND, path=path)
+        return run_video(
+            *(open_frames(drive[0], rate=10), look, follower, tmp_path / "out"),
+            settings={"of": "a live one"},
+            motion=MotionEstimator(KITTI_CAMERA, GROUND),
+            online=LiveFrames(0.4),
+            go_on=lambda run, _: len(run.frames) < most,
+        )
+
+    first = go(3)
+    assert first.stopped
+    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("fgrecon")]
+    rest, again = go(99), go(99)
+    assert [frame.number for frame in rest.frames] == [3, 4, 5, 6, 8, 9, 10, 11]
+    assert 0 < rest.left_out < 7
+    assert all(not frame.boxes for frame in rest.frames if frame.problem is not None)
+    assert f"{rest.left_out} left out for newer ones" in rest.summary
+    assert "ms, of 95 % up to" in rest.summary
+    assert (again.before, again.left_out, again.delay_quantiles) == (8, rest.left_out, None)
+    assert rows_of(again.frames, flat=False) == rows_of(rest.frames, flat=False)
+    assert "000009.png" in rest.gaps or rest.frames[5].problem.endswith(LEFT_OUT)
