@@ -130,7 +130,7 @@ def _lidar(path: Path, content: Mapping[str, list[str]], offset: NDArray[np.floa
 
 
 def calibration_beside(image: Path) -> KittiCalibration | None:
-    """What KITTI's layouts have for an image: of the object set, of drives, of the tracking set; None elsewhere.
+    """What KITTI's layouts have for an image: of the object set, drives, the tracking set, raw data; None elsewhere.
 
     Raises:
         InvalidInputError: There is a calibration file, but it is none.
@@ -140,7 +140,8 @@ def calibration_beside(image: Path) -> KittiCalibration | None:
         side = images.name.removeprefix("image_")
         if not (images.name.startswith("image_") and side.isdecimal()):
             continue
-        for path in (images.parent / "calib" / f"{name}.txt", images.parent / "calib.txt"):
+        root = images.parent
+        for path in (root / "calib" / f"{name}.txt", root / "calib.txt", root.parent / "calib_cam_to_cam.txt"):
             if path.is_file():
                 return _calibration(path, f"P{int(side)}")
     return None

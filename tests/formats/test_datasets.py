@@ -11,6 +11,7 @@ from fgrecon.core.geometry import transform
 from fgrecon.io.cameras import read_camera
 from fgrecon.io.datasets import is_data_set, open_drive, open_images, open_sequence, open_video
 from fgrecon.io.export import read_images_file
+from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.sensors.points import read_points
 from fgrecon.perception.sensor_source import SensorSource
 
@@ -272,6 +273,21 @@ def test_images_of_a_test_set_are_of_a_moment_without_labels(tmp_path, monkeypat
     after = read_images_file(Path(source))
     assert {file: info.sample_token for file, info in after.items()} == {f: i.sample_token for f, i in before.items()}
     assert all(info.world_T_vehicle is not None for info in after.values())
+
+
+def test_the_folder_of_one_frame_of_zod_is_a_data_set(tmp_path):
+    made_up.write_zod(tmp_path)
+    sequence, camera = open_sequence(f"{tmp_path / 'single_frames/000001'}#front_dnat")
+    assert (sequence.name, camera) == ("frames/000001", "front_dnat")
+    assert not is_data_set(tmp_path / "single_frames/000002")
+
+
+def test_images_of_kittis_raw_data_find_the_calibration_of_their_day(tmp_path):
+    day = made_up.write_kitti_raw(tmp_path)
+    image = day / "2011_09_26_drive_0001_sync/image_03/data/0000000000.png"
+    found = calibration_beside(image)
+    assert found.camera.matrix.tolist() == open_images(f"{day}#image_03")[0].lens.matrix.tolist()
+    assert found.camera_T_lidar is not None
 
 
 def test_cameras_whose_images_have_the_same_names_need_one_named(tmp_path):

@@ -219,3 +219,11 @@ def test_what_is_malformed_in_labels_is_named(made, change, message):
     change(content)
     with pytest.raises(InvalidInputError, match=message):
         fgrecon.keypoints_from(content)
+
+
+def test_predictions_that_nobody_has_accepted_are_named():
+    (one,) = task()
+    waiting = [{**one, "annotations": [], "predictions": one["annotations"]}]
+    with pytest.raises(InvalidInputError, match=r"\[0\]\.annotations: got predictions alone.*Accept them"):
+        fgrecon.keypoints_from(waiting)
+    assert len(fgrecon.keypoints_from([*task(), *waiting])) == 1

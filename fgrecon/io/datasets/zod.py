@@ -25,6 +25,7 @@ from fgrecon.io.json_fields import Fields, numbers, read_json, within
 from fgrecon.io.poses import CameraPoses
 
 _LISTS = "trainval-*-*.json"  # of frames, sequences and drives; full or mini
+_FOLDERS = "single_frames", "sequences", "drives"
 _LIDAR = "velodyne"
 _FARTHEST = 0.06  # seconds from an image to its sweep: both come ten times a second
 _SIZES = "size_3d_length", "size_3d_width", "size_3d_height"
@@ -36,9 +37,10 @@ _OCCLUSION = {"None": 0, "Light": 1, "Medium": 1, "Heavy": 2, "VeryHeavy": 2}
 def _entries(path: Path) -> dict[str, Fields]:
     """What the lists of a folder tell of each, by kind and number such as `frames/000123`."""
     found: dict[str, Fields] = {}
-    for file in sorted(path.glob(_LISTS)):
+    inside = path.parent.name.removeprefix("single_") if path.parent.name in _FOLDERS else None  # one of them alone
+    for file in sorted((path.parent.parent if inside else path).glob(_LISTS)):
         found |= _listed(file, file.stat().st_mtime_ns)
-    return found
+    return {name: one for name, one in found.items() if not inside or name == f"{inside}/{path.name}"}
 
 
 @lru_cache(maxsize=4)
@@ -192,4 +194,4 @@ def _kind(about: Fields) -> str:
 
 
 READER = Reader("frame or sequence", _entries, _read)
-"""The folder with the lists of ZOD, `trainval-frames-mini.json` and others."""
+"""The folder with the lists of ZOD, `trainval-frames-mini.json` and others, or that of one below it."""

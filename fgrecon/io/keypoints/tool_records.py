@@ -61,6 +61,9 @@ def _label_studio(tasks: Sequence[Any], where: str) -> Records:
         shown = Fields(task["data"], f"{where}[{number}].data.").data
         image = next((value for value in shown.values() if isinstance(value, str)), None)
         name = {} if image is None else {"image": image.rsplit("/", 1)[-1].partition("?")[0]}
+        if task.get("predictions") and not task["annotations"]:
+            fix = "Accept them in Label Studio (submit the task), and export the annotations."
+            yield InvalidInputError(f"{where}[{number}].annotations", "predictions alone", fix), where
         for at, annotation in enumerate(task["annotations"]):
             place = f"{where}[{number}].annotations[{at}]."
             results = Fields(annotation, place).get("result", list)
