@@ -23,7 +23,7 @@ inverse depth, 1 / z' = exp(a) / z + b (`Shared`).
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from functools import cached_property
 from typing import Any
@@ -79,6 +79,11 @@ class PointOdds:
     core: float  # share of length, width and height of a cuboid that is inside the vehicle
     reach: float  # metres along the surface from a patch's centre that it reaches,
     reach_sigma: float  # and over which it ends
+
+    @cached_property
+    def numbers(self) -> Array:
+        """(8,) all of them, in this order."""
+        return np.array([getattr(self, field.name) for field in fields(self)])
 
 
 NOTHING_SHARED = np.zeros(2)
@@ -210,7 +215,7 @@ class PointRows:
             SPACING,
             np.ascontiguousarray(self.size),
             np.ascontiguousarray(self.size_basis),
-            np.array(astuple(self.odds)),
+            self.odds.numbers,
             self.share,
             int(self.shared),
         )

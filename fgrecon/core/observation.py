@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -152,7 +153,11 @@ class Observation:
 
     def with_evidence(self, evidence: Sequence[Evidence]) -> Observation:
         """The observation with more evidence of its vehicle."""
-        return replace(self, evidence=(*self.evidence, *evidence)) if evidence else self
+        if not evidence:
+            return self
+        other = copy(self)  # all else is checked
+        object.__setattr__(other, "evidence", as_evidence((*self.evidence, *evidence)))
+        return other
 
     def undistorted(self, camera: Camera, names: Sequence[str]) -> Observation:
         """The observation freed of lens distortion.

@@ -56,7 +56,7 @@ class VehicleModel:
         """(N, N) covariance of lambda that gives sizes the spread of the traffic, and else is that of the prior, I."""
         return np.eye(self.prior.dimension) if self.size is None else self.spread_of(self.size.spread)
 
-    @property
+    @cached_property
     def by_size(self) -> Array:
         """(N, 3) smallest change of lambda for a change of length, width and height."""
         return np.linalg.pinv(self.dimension_basis).astype(np.float64)
