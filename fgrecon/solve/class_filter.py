@@ -6,6 +6,7 @@ they say something else than what that one was made for.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -34,9 +35,17 @@ class ClassBelief:
         """By the first frame that says something."""
         return cls(said, said)
 
-    def updated(self, said: Mapping[str, float], seconds: float, height: float) -> ClassBelief:
-        """With what a frame says, as far as it counts so soon after the one before, and so small (pixels)."""
-        least = SETTINGS.least_class_probability
+    def updated(self, said: Mapping[str, float], seconds: float, height: float, odds: float = 0.0) -> ClassBelief:
+        """With what a frame says, as far as it counts so soon after the one before, and so small (pixels).
+
+        Args:
+            said: Probability of each class by the frame.
+            seconds: Since the frame before.
+            height: Of the vehicle, pixels.
+            odds: Logarithm of a van's against a car's that are in what every frame says, and count once
+                (`fgrecon.solve.fitted_class.FittedClass`).
+        """
+        least, said = SETTINGS.least_class_probability, _without(said, odds)
         weight = min(seconds / SETTINGS.class_correlation_s, 1.0) * min(height / SETTINGS.full_height_px, 1.0)
         both = {
             name: max(before, least) * max(said.get(name, 0.0), least) ** weight
@@ -55,6 +64,14 @@ class ClassBelief:
     def renewed(self) -> ClassBelief:
         """With a model that is made for it."""
         return replace(self, modelled=self.probability)
+
+
+def _without(said: Mapping[str, float], odds: float) -> Mapping[str, float]:
+    """Probabilities without the odds of a van against a car that they were made with."""
+    if odds == 0.0:
+        return said
+    either, car, van = said["car"] + said["van"], said["car"], said["van"] * math.exp(-odds)
+    return {**said, "car": either * car / (car + van), "van": either * van / (car + van)}
 
 
 def with_model(vehicle: VehicleFilter, model: VehicleModel) -> VehicleFilter:

@@ -9,8 +9,8 @@ vans are: its size is that of the mixture, as sure as that leaves it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
@@ -23,6 +23,23 @@ from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.image_facing import single_pose
 from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.solve_settings import FITTED_CLASS, SCENE
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class FittedClass(VehicleClass):
+    """Which class a vehicle is of by an image of it as well.
+
+    Attributes:
+        odds: Logarithm of the odds of a van against a car that it has where the image says nothing. Those are the same
+            in all images of the vehicle, and count once.
+    """
+
+    odds: float
+
+    def __init__(self, probabilities: Mapping[str, float], odds: float) -> None:
+        """By classes of the package's own."""
+        super().__init__(probabilities)
+        object.__setattr__(self, "odds", odds)
 
 
 def with_fitted_classes(
@@ -48,6 +65,7 @@ def with_fitted_classes(
 def _fitted(observation: Observation, camera: Camera, setup: SolveSetup) -> Observation:
     """An observation that knows of which class its vehicle is."""
     said, odds = setup.classes_of([observation]), FITTED_CLASS.log_odds
+    new = 0.0  # of what another program says
     if said is None:
         if not setup.fits_classes:
             return observation
@@ -57,14 +75,14 @@ def _fitted(observation: Observation, camera: Camera, setup: SolveSetup) -> Obse
     else:
         share = shipped_class_sizes().share
         odds += FITTED_CLASS.said_log_odds
-        odds += math.log(said["van"] / said["car"]) - math.log(share["van"] / share["car"])
+        new = math.log(said["van"] / said["car"]) - math.log(share["van"] / share["car"])
     car, van = (_energy(observation, camera, setup, name) for name in ("car", "van"))
     if car is None or van is None:
         return observation
     most, either = FITTED_CLASS.most_nats, said["car"] + said["van"]
     gain = min(max(car - van, -most), most)
-    probability = either / (1.0 + math.exp(-(odds + FITTED_CLASS.energy_temper * gain)))
-    known = VehicleClass({**said, "car": either - probability, "van": probability})
+    probability = either / (1.0 + math.exp(-(odds + new + FITTED_CLASS.energy_temper * gain)))
+    known = FittedClass({**said, "car": either - probability, "van": probability}, odds)
     others = [one for one in observation.evidence if not isinstance(one, VehicleClass)]
     return replace(observation, evidence=(*others, known))
 

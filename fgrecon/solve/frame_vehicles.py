@@ -15,6 +15,7 @@ from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.solve.class_filter import ClassBelief, with_model
+from fgrecon.solve.fitted_class import FittedClass
 from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
 from fgrecon.solve.ground_filter import CameraFrame, KnownGround
 from fgrecon.solve.image_facing import estimate_pose_facing
@@ -139,7 +140,8 @@ def _belief(
         return replace(ClassBelief.first(said), modelled={})
     place = observation.place
     height = 0.0 if place is None else float(place[3] - place[1])
-    return track.classes.updated(said, frame.time - track.last.time, height)
+    odds = [one.odds for one in observation.evidence if isinstance(one, FittedClass)]
+    return track.classes.updated(said, frame.time - track.last.time, height, *odds)
 
 
 def _step(before: CameraFrame, now: CameraFrame) -> FrameStep:

@@ -14,6 +14,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior, shipped_class_sizes, shipped_cuboid
+from fgrecon.solve.class_filter import ClassBelief
 from fgrecon.solve.inputs import SolveSetup
 from tests.cars import CAMERA, observe, yaw_pose
 
@@ -110,6 +111,19 @@ def test_frames_decide_together_of_which_class_a_vehicle_is(van, monkeypatch):
     truth = van.box_size(np.zeros(van.dimension))
     assert np.abs(found[-1].box_size - truth).mean() < 0.6 * np.abs(found[0].box_size - truth).mean()
     assert np.linalg.norm(found[-1].location - PLACES[0]) < np.linalg.norm(found[0].location - PLACES[0])
+
+
+def test_what_every_frame_is_sure_of_before_its_image_counts_once():
+    """Frames whose images say nothing leave the class as it is; one that says something moves it by that alone."""
+    odds = -1.0
+    before = {"car": 0.9 / (1.0 + np.exp(odds)), "van": 0.9 / (1.0 + np.exp(-odds)), "lorry": 0.1}
+    belief = ClassBelief.first(before)
+    for _ in range(20):
+        belief = belief.updated({**before, "lorry": 0.02}, 10.0, 1e3, odds)
+    assert belief.probability["van"] / belief.probability["car"] == pytest.approx(np.exp(odds))
+    towards = {"car": 0.9 / (1.0 + np.exp(odds + 0.5)), "van": 0.9 / (1.0 + np.exp(-odds - 0.5)), "lorry": 0.1}
+    belief = belief.updated(towards, 10.0, 1e3, odds)
+    assert belief.probability["van"] / belief.probability["car"] == pytest.approx(np.exp(odds + 0.5))
 
 
 def test_a_class_may_come_later(van):
