@@ -109,7 +109,7 @@ def read_poses(path: Path) -> CameraPoses:
 
 
 def read_pose(path: Path, field: str = "lidar_pose", motion: str = "from the LiDAR's frame to the camera's") -> Array:
-    """(4, 4) the one motion of a file: 12 numbers [R | t], or JSON with a list of a matrix.
+    """(4, 4) the one motion of a file: 12 numbers [R | t], or JSON with a matrix, by itself or in a list.
 
     Args:
         path: The file.
@@ -128,6 +128,8 @@ def read_pose(path: Path, field: str = "lidar_pose", motion: str = "from the LiD
 
 def _of_json(path: Path) -> CameraPoses:
     data = read_json(path)
+    if isinstance(data, list) and data and all(isinstance(row, list) and _is_flat(row) for row in data):
+        data = [data]  # a matrix by itself
     items: Any = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else ()
     found: dict[int, Array] = {}
     for key, value in items:
@@ -138,6 +140,10 @@ def _of_json(path: Path) -> CameraPoses:
     if not found:
         raise InvalidInputError("poses", str(path), _FIX)
     return CameraPoses(found)
+
+
+def _is_flat(row: list[Any]) -> bool:
+    return not any(isinstance(one, list) for one in row)
 
 
 def _checked(pose: Array, place: str) -> Array:

@@ -68,11 +68,13 @@ def stereo_depth(left: NDArray[Any], camera: Camera, pair: StereoPair, settings:
         settings: How they are matched.
 
     Raises:
-        InvalidInputError: The images differ in size, or a lens is a fisheye.
+        InvalidInputError: The images differ in size or not at all, or a lens is a fisheye.
     """
     images = as_rgb8(left), as_rgb8(pair.image)
     if images[0].shape != images[1].shape:
         raise InvalidInputError("right", f"shape {images[1].shape}", f"Give an image of shape {images[0].shape}.")
+    if np.array_equal(*images):
+        raise InvalidInputError("right", "the left image again", "Give the right image of the pair.")
     motion, right = pair.right_T_left, pair.camera
     if {camera.distortion_model, right.distortion_model} != {OPENCV}:
         fix = "Rectify the pair (cv2.fisheye) and give its pinhole cameras."

@@ -84,8 +84,8 @@ def _lowest(one: Points | DepthMap, camera: Camera) -> Array:
 
 
 def _pixels(depth: DepthMap, camera: Camera) -> Array:
-    """(M, 3) some of a depth map's pixels as points."""
-    step = max(1, int(np.sqrt(depth.depth.size / ROAD.pixels)))
+    """(M, 3) some of a depth map's pixels as points; of a sparse one more than of one that has a depth everywhere."""
+    step = max(1, int(np.sqrt(np.isfinite(depth.depth).sum() / ROAD.pixels)))
     row, column = (each.ravel() for each in np.mgrid[: depth.depth.shape[0] : step, : depth.depth.shape[1] : step])
     metres = depth.metres(depth.depth[row, column], DepthCalibration())
     kept = np.isfinite(metres)

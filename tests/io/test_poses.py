@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.poses import read_poses
+from fgrecon.io.poses import read_pose, read_poses
 
 TURN = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # 90 degrees about y
 
@@ -46,6 +46,8 @@ def test_json(tmp_path):
     assert read_poses(path).at(2, 0.0)[:3, 3] == pytest.approx([1, 2, 3])
     path.write_text(json.dumps({"12": np.eye(4).tolist()}))
     assert read_poses(path).at(12, 0.0) == pytest.approx(np.eye(4))
+    path.write_text(json.dumps(pose(TURN, [1, 2, 3]).tolist()))
+    assert read_pose(path)[:3, 3] == pytest.approx([1, 2, 3])
 
 
 @pytest.mark.parametrize(

@@ -69,5 +69,7 @@ def test_what_is_no_pair_is_refused() -> None:
     left, right, _ = _pair(_motion())
     with pytest.raises(InvalidInputError, match="shape"):
         stereo_depth(left, CAMERA, StereoPair(right[:50], CAMERA, _motion()))
+    with pytest.raises(InvalidInputError, match="the left image again"):
+        stereo_depth(left, CAMERA, StereoPair(left.copy(), CAMERA, _motion()))
     with pytest.raises(InvalidInputError, match="right_T_left"):
         StereoPair(right, CAMERA, np.linalg.inv(_motion()))

@@ -54,6 +54,8 @@ def test_a_depth_map_in_metres_does_so_too():
         found = ground_by_points([depth], None, CAMERA, ())
         assert found.distance == pytest.approx(HEIGHT, abs=0.03)
         assert np.degrees(np.arccos(found.normal @ NORMAL)) < 0.3
+    few = np.where(np.random.default_rng(0).random(metres.shape) < 0.003, metres, np.nan)  # a scan's, say
+    assert ground_by_points([DepthMap(few)], None, CAMERA, ()).distance == pytest.approx(HEIGHT, abs=0.03)
     assert ground_by_points([DepthMap(metres, scale=DepthScale.SCALE)], None, CAMERA, ()) is None
     calibrated = DepthMap(metres / 2.0, calibration=DepthCalibration(2.0, 0.0))
     assert ground_by_points([calibrated], None, CAMERA, ()) is None
