@@ -34,7 +34,7 @@ class FittedClass(VehicleClass):
             in all images of the vehicle, and count once.
     """
 
-    odds: float
+    odds: float = 0.0
 
     def __init__(self, probabilities: Mapping[str, float], odds: float) -> None:
         """By classes of the package's own."""
