@@ -103,6 +103,7 @@ async def _reconstruct(request: Request) -> Response:
 
     with workers.place():
         body = await read_body(request, request.app.state.limits)
+        await wanted()  # uvicorn stops to listen after a large body until somebody asks
         text = await workers.when_wanted(wanted, {KINDS[kind]: body}, results_text, Uploaded(KINDS[kind]), requested)
     return Response(text, media_type="application/json")
 
