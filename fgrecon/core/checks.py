@@ -141,6 +141,28 @@ def as_rigid(field: str, value: ArrayLike, tolerance: float = RIGID) -> NDArray[
     return matrix
 
 
+def as_quaternion(field: str, value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A unit quaternion (4,) as it is given, to the digits of text.
+
+    Raises:
+        InvalidInputError: It is of another length.
+    """
+    if not abs(float(np.linalg.norm(value)) - 1.0) < RIGID:
+        raise InvalidInputError(field, value.tolist(), "Give a unit quaternion w, x, y, z.")
+    return value
+
+
+def as_size(field: str, value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sizes (3,) of a box as they are given, metres.
+
+    Raises:
+        InvalidInputError: One is not above 0.
+    """
+    if not (value > 0.0).all():
+        raise InvalidInputError(field, value.tolist(), "Give length, width and height in metres, above 0.")
+    return value
+
+
 def as_instance(field: str, value: Any, kind: type[Any]) -> Any:
     """The value as it is, which is of a class.
 

@@ -169,8 +169,7 @@ def boxes_in(
         least = LEAST_SCORE if least_score is None else least_score
         return _coco(file, _changed(file)).of_image(given, size, least, scale=scale_to_image, all_classes=all_classes)
     rows = [
-        (number, box.in_image(file, number, size, scale=scale_to_image) if isinstance(box, _Relative | _Sized) else box)
-        for number, box in _lines(file, _changed(file))
+        (number, box.in_image(file, number, size, scale=scale_to_image)) for number, box in _lines(file, _changed(file))
     ]
     return _of_lines(rows, image, least_score, all_classes=all_classes)
 
@@ -203,11 +202,11 @@ def _changed(file: Path) -> int:
 
 
 @lru_cache(maxsize=2)
-def _lines(file: Path, changed: int) -> tuple[tuple[int, _Box | _Relative | _Sized], ...]:  # noqa: ARG001
+def _lines(file: Path, changed: int) -> tuple[tuple[int, _Box | _Relative], ...]:  # noqa: ARG001
     """The boxes of a file of lines or of a CSV, with their numbers; a changed file is read again."""
     if file.suffix.lower() == ".csv":
-        return tuple((number, _Sized.of(file, box)) for number, box in enumerate(read_csv_boxes(file)))
-    rows: list[tuple[int, _Box | _Relative | _Sized]] = []
+        return tuple((number, _Box.of_csv(file, box)) for number, box in enumerate(read_csv_boxes(file)))
+    rows: list[tuple[int, _Box | _Relative]] = []
     for number, line in enumerate(read_text(file, "boxes", _FIX).splitlines()):
         if not line.strip():
             continue
@@ -270,37 +269,25 @@ class _Box:
     image: str | None = None  # name of its image, or None where its file has only one
     unit: bool = True  # whether scores end at 1
     track: int | None = None  # or None
+    size: tuple[int, int] | None = None  # of the image as the file states it, or None
+
+    @classmethod
+    def of_csv(cls, file: Path, row: CsvBox) -> _Box:
+        """The box of a row."""
+        kind = _yolo_class(file, int(row.kind)) if row.kind.isdecimal() else one_word(row.kind)
+        surface = BoxModel.SURFACE
+        return cls(row.corners, surface, kind, True, row.score, row.image, True, row.track, row.size)  # noqa: FBT003
+
+    def in_image(self, file: Path, number: int, size: tuple[int, int] | None, *, scale: bool = False) -> _Box:
+        """The box in pixels of an image of a size."""
+        ratio = np.tile(scale_between(self.size, size, f"{file}: box {number}", scale=scale), 2)
+        return self if self.size is None else replace(self, corners=self.corners * ratio)
 
     def below(self, least: float | None) -> bool:
         """Whether its score is lower than is allowed."""
         if self.score is None or (least is None and not self.unit):
             return False
         return self.score < (LEAST_SCORE if least is None else least)
-
-
-@dataclass(frozen=True)
-class _Sized:
-    """A box of a CSV, with the size that the file states of its image, or None."""
-
-    box: _Box
-    size: tuple[int, int] | None
-
-    @classmethod
-    def of(cls, file: Path, row: CsvBox) -> _Sized:
-        """The box of a row."""
-        kind = _yolo_class(file, int(row.kind)) if row.kind.isdecimal() else one_word(row.kind)
-        box = _Box(row.corners, BoxModel.SURFACE, kind, True, row.score, row.image, True, row.track)  # noqa: FBT003
-        return cls(box, row.size)
-
-    @property
-    def image(self) -> str | None:
-        """Name of its image, or None."""
-        return self.box.image
-
-    def in_image(self, file: Path, number: int, size: tuple[int, int] | None, *, scale: bool = False) -> _Box:
-        """The box in pixels of an image of a size."""
-        ratio = np.tile(scale_between(self.size, size, f"{file}: box {number}", scale=scale), 2)
-        return replace(self.box, corners=self.box.corners * ratio)
 
 
 @dataclass(frozen=True)

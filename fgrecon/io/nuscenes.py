@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.arrays import Array
+from fgrecon.core.checks import as_quaternion
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import quaternion_pose, transform
 from fgrecon.io.json_fields import Fields, read_json
@@ -87,10 +88,7 @@ def pose_of(record: Fields) -> NDArray[np.float64]:
     Raises:
         InvalidInputError: One is missing or malformed, or the rotation is none; names the field.
     """
-    quaternion = record.numbers("rotation", (4,))
-    length = float(np.linalg.norm(quaternion))
-    if not abs(length - 1.0) < 1e-3:
-        raise InvalidInputError(f"{record.where}rotation", quaternion.tolist(), "Give a unit quaternion w, x, y, z.")
+    quaternion = as_quaternion(f"{record.where}rotation", record.numbers("rotation", (4,)))
     return quaternion_pose(quaternion, record.numbers("translation", (3,)))
 
 

@@ -21,13 +21,12 @@ from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.io.box_lines import Boxed, BoxedImage, BoxLine, boxed_images, text_of
 from fgrecon.io.cameras.camera_source import CameraSource
-from fgrecon.io.datasets import is_data_set
-from fgrecon.io.datasets.detections import read_detections
+from fgrecon.io.datasets import is_data_set, open_sequence
+from fgrecon.io.datasets.detections import Detections, is_submission, read_detections, read_submission
 from fgrecon.io.files import behind_links, check_output, write_bytes, write_text
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import calibration_beside, read_calibration
 from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes
-from fgrecon.io.nuscenes_detections import Submitted, is_submission, read_submission
 from fgrecon.io.run_settings import RunSettings
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
@@ -204,7 +203,9 @@ class BoxFiles:
         targets: The files that are written for the images of a folder.
     """
 
-    def __init__(self, boxes: Path, out: Path, images: Sequence[BoxedImage[Any]], submission: Submitted | None) -> None:
+    def __init__(
+        self, boxes: Path, out: Path, images: Sequence[BoxedImage[Any]], submission: Detections | None
+    ) -> None:
         """Take what was read; see `open_boxes`."""
         self.images = list(images)
         self._submission, self._out, self._is_folder = submission, out, boxes.is_dir()
@@ -260,9 +261,9 @@ def open_boxes(boxes: Path, images: Path, out: Path, tables: str | None) -> BoxF
     Raises:
         InvalidInputError: A file is malformed, there are no tables or no images, or `out` is that of the boxes.
     """
-    submission: Submitted | None = None
+    submission: Detections | None = None
     if is_submission(boxes) and is_data_set(images):
-        submission = read_detections(boxes, images)
+        submission = read_detections(boxes, *open_sequence(images))
     elif is_submission(boxes):
         if tables is None or not is_nuscenes(Path(tables)):
             fix = "Give the folder of nuScenes' tables, such as v1.0-mini, or a data set for the images."

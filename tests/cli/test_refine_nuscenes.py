@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.box_lines import read_box_lines
+from fgrecon.io.datasets.detections import read_submission
 from fgrecon.io.nuscenes import open_nuscenes
-from fgrecon.io.nuscenes_detections import read_submission
 from fgrecon.simulation.sample import LABEL_OFFSET
 from fgrecon.simulation.vehicles import KITTI_CAMERA
 from tests.command_line import run

@@ -81,7 +81,7 @@ def _plain(entry):
 
 def test_boxes_are_placed_and_come_back(written):
     name, path, source, sequence = written
-    found = read_detections(path, source)
+    found = read_detections(path, *open_sequence(source))
     before = _entries(path, path.read_bytes())
     images = [image for image in found.images if image.objects]
     assert len(images) == (1 if name == "zod" else 2)
@@ -121,12 +121,12 @@ def test_boxes_of_other_images_are_refused(written):
         data = json.loads(path.read_text())
         path.write_text(json.dumps({"results": {"elsewhere": data["results"]["elsewhere"]}}))
         with pytest.raises(InvalidInputError, match="Give images that show boxes of"):
-            read_detections(path, other)
+            read_detections(path, *open_sequence(other))
     elif name == "argoverse2":
         path.write_bytes(b"none")
         with pytest.raises(InvalidInputError, match=r"d.feather.*whole"):
-            read_detections(path, source)
+            read_detections(path, *open_sequence(source))
     else:
         path.write_text(path.read_text().replace("detection_name", "name"))
         with pytest.raises(InvalidInputError, match=r"results\.s0\[0\]\.detection_name"):
-            read_detections(path, source)
+            read_detections(path, *open_sequence(source))

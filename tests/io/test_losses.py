@@ -8,12 +8,12 @@ import pytest
 
 from fgrecon.core.geometry import AHEAD, rigid
 from fgrecon.io.export import KINDS, ImageInfo, NamedResult, export
-from fgrecon.io.export.formats import _ENDINGS, OF_FRAMES
+from fgrecon.io.export.formats import _KINDS, OF_FRAMES
 from fgrecon.io.export.losses import LACKS, Part, not_written
 from tests.results import changed
 from tests.viz.made_up import make_example
 
-ENDINGS = {kind: ending for ending, kinds in _ENDINGS.items() for kind in kinds}
+ENDINGS = {kind: ending for kind, (ending, _) in _KINDS.items()}
 EXTRAS = {"foxglove": "mcap", "vision_msgs": "mcap_ros2", "ros2": "mcap_ros2"}
 INFO = ImageInfo(
     sample_token="315968867000000000",

@@ -125,12 +125,12 @@ def submitted_boxes(path: Path, source: str | Path) -> dict[int, Objects]:
     Raises:
         InvalidInputError: The source is none of nuScenes, or the file cannot be read or has none of its samples.
     """
-    from fgrecon.io.datasets import nuscenes
+    from fgrecon.io.datasets import detections, nuscenes
 
     if not nuscenes.READER.matches(_split(source)[0]):
         raise InvalidInputError("results", str(path), "Give a camera of nuScenes for boxes of nuScenes.")
     sequence, camera = open_sequence(source)
-    frames = drive_of(nuscenes.submitted(path, sequence), camera).frames
+    frames = drive_of(detections.with_submitted(path, sequence), camera).frames
     return {frame.number: frame.objects for frame in frames if frame.labelled}
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.checks import as_quaternion, as_size
 from fgrecon.core.geometry import AHEAD, quaternion_pose
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
 from fgrecon.io.json_fields import Fields, read_json, within
@@ -33,7 +33,6 @@ def _read(name: str, files: Sequence[Path]) -> DataSequence:
     for number, file in enumerate(files):
         stem = file.name.removesuffix(_ENDING)
         fields = Fields(read_json(file), f"{file}: ")
-        vehicle_T_camera = np.eye(4)
         sensor = Fields(fields.get("sensor", dict), f"{file}: sensor.")
         there = np.vstack([sensor.numbers("sensor_T_ISO_8855", (3, 4)), [0.0, 0.0, 0.0, 1.0]])
         vehicle_T_camera = np.linalg.inv(there)
@@ -65,12 +64,8 @@ def _lens(sensor: Fields, size: tuple[int, int]) -> Camera:
 def _box(entry: Any, number: int, stem: str, file: Path) -> WorldBox:
     fields = Fields(entry, f"{file}: objects[{number}].")
     box = Fields(fields.get("3d", dict), f"{fields.where}3d.")
-    quaternion = box.numbers("rotation", (4,))
-    if not abs(float(np.linalg.norm(quaternion)) - 1.0) < 1e-3:
-        raise InvalidInputError(f"{box.where}rotation", quaternion.tolist(), "Give a unit quaternion w, x, y, z.")
-    size = box.numbers("dimensions", (3,))
-    if not (size > 0.0).all():
-        raise InvalidInputError(f"{box.where}dimensions", size.tolist(), "Give length, width and height in metres.")
+    quaternion = as_quaternion(f"{box.where}rotation", box.numbers("rotation", (4,)))
+    size = as_size(f"{box.where}dimensions", box.numbers("dimensions", (3,)))
     hidden = float(fields.numbers("occlusion", ())) if "occlusion" in fields else np.nan
     drawn = Fields(fields.data.get("2d") or {}, f"{fields.where}2d.")
     boxes = {CAMERA: _corners(drawn)} if "amodal" in drawn else {}

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fgrecon.core.arrays import Array
+from fgrecon.core.checks import as_quaternion
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import quaternion_pose
 
@@ -65,12 +66,9 @@ class Columns:
             InvalidInputError: A column is missing, or a quaternion is no rotation; names column and row.
         """
         turns, places = self.numbers(*quaternion), self.numbers(*place)
-        lengths = np.linalg.norm(turns, axis=1)
-        wrong = np.flatnonzero(np.abs(lengths - 1.0) > 1e-3)
-        if len(wrong):
-            field = f"{self.where}{quaternion[0]}: row {wrong[0]}"
-            raise InvalidInputError(field, turns[wrong[0]].tolist(), "Give a unit quaternion w, x, y, z.")
-        return np.array([quaternion_pose(q, t) for q, t in zip(turns, places, strict=True)]).reshape(-1, 4, 4)
+        where = f"{self.where}{quaternion[0]}: row "
+        exact = (as_quaternion(f"{where}{row}", turn) for row, turn in enumerate(turns))
+        return np.array([quaternion_pose(q, t) for q, t in zip(exact, places, strict=True)]).reshape(-1, 4, 4)
 
 
 def read_columns(path: Path, columns: Sequence[str] | None = None) -> Columns:

@@ -15,6 +15,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from fgrecon.core.arrays import Array
+from fgrecon.core.checks import as_size
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import rigid
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
@@ -136,12 +137,10 @@ def _boxes(path: Path) -> dict[int, list[tuple[str, str, Array, Array, int]]]:
     for number, item in enumerate(root.findall("./tracklets/item")):
         where = f"{path}: item {number}: "
         height, width, length, first = (_number(item, name, where) for name in ("h", "w", "l", "first_frame"))
-        if min(height, width, length) <= 0.0:
-            raise InvalidInputError(f"{where}h, w, l", [height, width, length], "Give metres above 0.")
+        size = as_size(f"{where}h, w, l", np.array([length, width, height]))
         for step, row in enumerate(item.findall("./poses/item")):
             x, y, z, yaw, grade = (_number(row, name, where) for name in ("tx", "ty", "tz", "rz", "occlusion"))
             pose = rigid(Rotation.from_euler("Z", yaw).as_matrix(), (x, y, z + height / 2.0))
-            size = np.array([length, width, height])
             kind = (item.findtext("objectType") or "").strip()
             found[int(first) + step].append((str(number), kind, pose, size, int(grade) if 0 <= grade <= 2 else -1))
     return found

@@ -16,11 +16,10 @@ import numpy as np
 
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.checks import as_size
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.nuscenes import NuScenesTables, is_nuscenes, open_nuscenes, pose_of
-from fgrecon.io.nuscenes_detections import read_boxes_by_sample
 
 _NEEDED = "scene", "sample", "sample_annotation", "instance", "category"
 _TRUCKSCENES = "ego_motion_chassis"
@@ -78,30 +77,6 @@ def _read(name: str, tables: NuScenesTables) -> DataSequence:
     return DataSequence(name, tuple(shown), moments, _CARS)
 
 
-def submitted(path: Path, drive: DataSequence) -> DataSequence:
-    """A scene with the boxes of a submission of the detection or the tracking task in place of its labels.
-
-    Args:
-        path: The submission; samples that it does not have are not labelled.
-        drive: The scene.
-
-    Raises:
-        InvalidInputError: It cannot be read, is none, a box is malformed, or it has none of the scene's samples.
-    """
-    results = read_boxes_by_sample(path)
-    moments = {}
-    for token in drive.moments.keys() & results.keys():
-        boxes = tuple(
-            WorldBox(f"{token}/{number}", box.kind, box.world_T_box, box.size, box.track, score=box.score)
-            for number, box in enumerate(results[token])
-        )
-        moments[token] = replace(drive.moments[token], boxes=boxes)
-    if not moments:
-        raise InvalidInputError("results", str(path), f"Give boxes of the samples of {drive.name}.")
-    images = tuple(replace(one, moment=one.moment if one.moment in moments else None) for one in drive.images)
-    return replace(drive, images=images, moments=moments, cars={"car": "Car"})
-
-
 def _image(
     record: Fields, sensor: Fields, channel: str, file: Path, world_T_vehicle: Array, moment: str | None
 ) -> CameraImage:
@@ -127,9 +102,7 @@ def _boxes(tables: NuScenesTables, samples: dict[str, Fields]) -> dict[str, list
         if (sample := label.get("sample_token", str)) not in samples:
             continue
         instance = tables.named(label, "instance_token", "instance")
-        size = label.numbers("size", (3,))[[1, 0, 2]]
-        if not (size > 0.0).all():
-            raise InvalidInputError(f"{label.where}size", size.tolist(), "Give width, length and height in metres.")
+        size = as_size(f"{label.where}size", label.numbers("size", (3,))[[1, 0, 2]])
         found[sample].append(
             WorldBox(
                 name=token,

@@ -17,7 +17,7 @@ import numpy as np
 
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
-from fgrecon.core.checks import RIGID, as_rigid
+from fgrecon.core.checks import as_quaternion, as_rigid, as_size
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, quaternion_pose
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
@@ -155,12 +155,9 @@ def _boxes(path: Path, world_T_lidar: Array, cameras: tuple[str, ...]) -> tuple[
         about = Fields(fields.get("properties", dict), f"{fields.where}properties.")
         if "location_3d" not in about:
             continue
-        turn = np.array([about.numbers(f"orientation_3d_q{part}", ()) for part in "wxyz"])
-        if not abs(float(np.linalg.norm(turn)) - 1.0) < RIGID:
-            raise InvalidInputError(f"{about.where}orientation_3d_qw", turn.tolist(), "Give a unit quaternion.")
-        size = np.array([about.numbers(part, ()) for part in _SIZES])
-        if not (size > 0.0).all():
-            raise InvalidInputError(f"{about.where}{_SIZES[0]}", size.tolist(), "Give metres above 0.")
+        quaternion = np.array([about.numbers(f"orientation_3d_q{part}", ()) for part in "wxyz"])
+        turn = as_quaternion(f"{about.where}orientation_3d_qw", quaternion)
+        size = as_size(f"{about.where}{_SIZES[0]}", np.array([about.numbers(part, ()) for part in _SIZES]))
         place = Fields(about.get("location_3d", dict), f"{about.where}location_3d.").numbers("coordinates", (3,))
         drawn = box_around(_outline(fields))
         found.append(

@@ -31,53 +31,41 @@ from fgrecon.io.files import check_ending, write_bytes
 
 Images = Mapping[str, ImageInfo]
 
-_TEXTS: dict[str, Callable[[Sequence[NamedResult], Images], str]] = {
-    "csv": lambda results, _: csv_text(results),
-    "kitti": lambda results, _: kitti_text(results),
-    "nuscenes": nuscenes_text,
-    "nuscenes_tracking": nuscenes_tracking_text,
-    "truckscenes": truckscenes_text,
-    "zod": zod_text,
-    "cityscapes3d": cityscapes3d_text,
-    "openlabel": openlabel_text,
-    "tum": lambda _, images: tum_text(images),
-    "kitti_poses": lambda _, images: kitti_poses_text(images),
-    "cvat": cvat_text,
-    "label_studio": label_studio_text,
-    "labelme": labelme_text,
-    "scalabel": scalabel_text,
-    "supervisely": supervisely_text,
-    "datumaro": datumaro_text,
-    "fiftyone": fiftyone_text,
-    "coco": coco_results_text,
+_KINDS: dict[str, tuple[str, Callable[[Sequence[NamedResult], Images], str | bytes]]] = {
+    "ply": ("ply", lambda results, _: ply_bytes(results)),
+    "glb": ("glb", lambda results, _: glb_bytes(results)),
+    "csv": ("csv", lambda results, _: csv_text(results)),
+    "parquet": ("parquet", lambda results, _: parquet_bytes(results)),
+    "kitti": ("txt", lambda results, _: kitti_text(results)),
+    "tum": ("txt", lambda _, images: tum_text(images)),
+    "kitti_poses": ("txt", lambda _, images: kitti_poses_text(images)),
+    "nuscenes": ("json", nuscenes_text),
+    "nuscenes_tracking": ("json", nuscenes_tracking_text),
+    "truckscenes": ("json", truckscenes_text),
+    "zod": ("json", zod_text),
+    "coco": ("json", coco_results_text),
+    "cityscapes3d": ("json", cityscapes3d_text),
+    "openlabel": ("json", openlabel_text),
+    "label_studio": ("json", label_studio_text),
+    "scalabel": ("json", scalabel_text),
+    "labelme": ("json", labelme_text),
+    "supervisely": ("json", supervisely_text),
+    "datumaro": ("json", datumaro_text),
+    "fiftyone": ("json", fiftyone_text),
+    "argoverse2": ("feather", argoverse2_bytes),
+    "waymo": ("bin", waymo_bytes),
+    "cvat": ("xml", cvat_text),
+    "foxglove": ("mcap", scene_bytes),
+    "vision_msgs": ("mcap", detections_bytes),
+    "ros2": ("mcap", ros2_bytes),
 }
+"""Ending and writer of each kind."""
 
-_WRITERS: dict[str, Callable[[Sequence[NamedResult], Images], bytes]] = {
-    "ply": lambda results, _: ply_bytes(results),
-    "glb": lambda results, _: glb_bytes(results),
-    "parquet": lambda results, _: parquet_bytes(results),
-    "argoverse2": argoverse2_bytes,
-    "waymo": waymo_bytes,
-    "foxglove": scene_bytes,
-    "vision_msgs": detections_bytes,
-    "ros2": ros2_bytes,
-}
-
-KINDS = (*_TEXTS, *_WRITERS)
+KINDS = tuple(_KINDS)
 """Kinds of files that `export` writes."""
 
-_ENDINGS: dict[str, tuple[str, ...]] = {
-    **{kind: (kind,) for kind in ("ply", "glb", "csv", "parquet")},
-    "txt": ("kitti", "tum", "kitti_poses"),
-    "json": (
-        *("nuscenes", "nuscenes_tracking", "truckscenes", "zod", "coco", "cityscapes3d", "openlabel", "label_studio"),
-        *("scalabel", "labelme", "supervisely", "datumaro", "fiftyone"),
-    ),
-    "feather": ("argoverse2",),
-    "bin": ("waymo",),
-    "xml": ("cvat",),
-    "mcap": ("foxglove", "vision_msgs", "ros2"),
-}
+FORMATS = tuple(dict.fromkeys(ending for ending, _ in _KINDS.values()))
+"""The endings of their names."""
 
 _REFUSED = {
     "kitti360": "Give another: KITTI-360 scores boxes of what stands still in clouds of many frames, not of images.",
@@ -91,9 +79,6 @@ _PLAIN = {"txt": "kitti"}
 
 OF_FRAMES = frozenset(["tum", "kitti_poses"])
 """Kinds that are about the images alone: they need no vehicle."""
-
-FORMATS = tuple(_ENDINGS)
-"""The endings of their names."""
 
 _TABLES: dict[str, Callable[[Path], AbstractContextManager[AddRows]]] = {"csv": csv_file, "parquet": parquet_file}
 
@@ -113,7 +98,7 @@ def check_format(path: str | Path, kind: str | None = None) -> str:
     if kind in _REFUSED:
         raise InvalidInputError("format", kind, _REFUSED[kind])
     ending = check_ending(path, FORMATS)
-    kinds, kind = _ENDINGS[ending], kind or _PLAIN.get(ending)
+    kinds, kind = [one for one in KINDS if _KINDS[one][0] == ending], kind or _PLAIN.get(ending)
     if kind is None and len(kinds) > 1:
         raise InvalidInputError("format", f"none for {Path(path).name}", f"Give {' or '.join(kinds)}.")
     if kind is not None and kind not in kinds:
@@ -147,9 +132,8 @@ def export(
     chosen = check_format(path, kind) if results or kind in OF_FRAMES else None
     if chosen is None:
         raise InvalidInputError("results", "none", "Give at least one reconstructed vehicle.")
-    known = images or {}
-    content = _TEXTS[chosen](results, known).encode() if chosen in _TEXTS else _WRITERS[chosen](results, known)
-    return write_bytes(path, content)
+    content = _KINDS[chosen][1](results, images or {})
+    return write_bytes(path, content.encode() if isinstance(content, str) else content)
 
 
 def export_rows(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:

@@ -18,26 +18,8 @@ from fgrecon.io.json_fields import parse_json
 
 _FILE = "frames.jsonl"
 FRAME_FORMAT = "fgrecon.video-frame/1"
-_OF_IMAGES = frozenset(
-    [
-        *(
-            "nuscenes",
-            "nuscenes_tracking",
-            "truckscenes",
-            "zod",
-            "argoverse2",
-            "waymo",
-            "openlabel",
-            "cvat",
-            "coco",
-            "foxglove",
-            "vision_msgs",
-            "ros2",
-        ),
-        "tum",
-        "kitti_poses",
-    ]
-)
+_NOT_OF_VIDEOS = frozenset(["ply", "glb", "csv", "parquet", "kitti", "cityscapes3d", "labelme", "supervisely"])
+_OF_SIZE = frozenset(["label_studio", "scalabel", "datumaro", "fiftyone"])  # of images, which frames do not keep
 
 
 def frames_file(path: Path) -> Path | None:
@@ -57,7 +39,7 @@ def check_video_format(path: Path, kind: str | None = None) -> None:
     Raises:
         InvalidInputError: The kind is no file's, or one of these; says which tables the run has written.
     """
-    if (found := check_format(path, kind)) not in _OF_IMAGES:
+    if (found := check_format(path, kind)) in _NOT_OF_VIDEOS | _OF_SIZE:
         fix = (
             f"`fgrecon run` has written tracks.csv, tracks.parquet, tracks.txt (KITTI's tracking) and {_FILE} there. "
             "Give .mcap, .json, .feather or .bin for another file, --format tum or kitti_poses for the camera's path."
