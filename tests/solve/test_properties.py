@@ -102,6 +102,32 @@ def test_a_mirrored_picture_mirrors_the_pose(seed):
 
 
 @few
+@given(seeds, st.tuples(st.floats(-300, 300), st.floats(-100, 100)))
+def test_a_part_of_a_picture_says_what_the_picture_says(seed, corner):
+    """Pixels and principal point count from another corner."""
+    seen, matrix = car(seed), KNOWN.matrix.copy()
+    matrix[:2, 2] -= corner
+    moved = replace(seen, keypoints=seen.keypoints - corner, box=seen.box - np.tile(corner, 2))
+    whole, part = solve(seen, Camera(KNOWN.matrix)), solve(moved, Camera(matrix))
+    if settled(whole):
+        close(part.camera_T_object, whole.camera_T_object)
+        assert part.status is whole.status
+
+
+@few
+@given(seeds, st.integers(2, 5))
+def test_a_track_backwards_is_the_same_track(seed, count):
+    rng = np.random.default_rng(seed)
+    poses = [yaw_pose(0.3 + 0.1 * t, (2.0 * t - 3.0, 1.65, 14.0 + t)) for t in range(count)]
+    seen = [observe(PRIOR, pose, 0.7 * rng.normal(size=5), noise=1.0, seed=seed + t) for t, pose in enumerate(poses)]
+    forwards, backwards = (fgrecon.reconstruct_track(some, KNOWN, options=FAST) for some in (seen, seen[::-1]))
+    assert backwards.status is forwards.status
+    for one, other in zip(forwards.frames, backwards.frames[::-1], strict=True):
+        if settled(one):
+            close(other.camera_T_object, one.camera_T_object)
+
+
+@few
 @given(seeds, seeds)
 def test_the_order_of_a_scenes_cars_does_not_matter(seed, order):
     seen = [car(seed + i) for i in range(3)]
