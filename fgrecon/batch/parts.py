@@ -128,7 +128,8 @@ class Parts:
 
     def add(self, table: Any) -> None:
         """Add the rows of some tasks; they are in a part soon, all of them in the same one."""
-        self._tables.append(table.cast(self._schema))
+        same = table.schema.equals(self._schema, check_metadata=True)  # a cast imports pyarrow.compute
+        self._tables.append(table if same else table.cast(self._schema))
         if sum(map(len, self._tables)) >= _ROWS or monotonic() - self._written >= _SECONDS:
             self.flush()
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from itertools import pairwise, zip_longest
@@ -31,6 +32,7 @@ from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.frames import FrameSource, ImageFrames
 from fgrecon.io.source_frames import SourceFrame
 from fgrecon.video.coverage import check_coverage, coverage_warnings, planned_frames
+from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector
 from fgrecon.video.frame_store import FrameStore
@@ -195,7 +197,7 @@ def run_video(
     begin(out / RECORDS, settings, FORMAT)
     run = VideoRun(source.count, frames=FrameStore(folder=out))
     live = online if isinstance(online, LiveFrames) else None
-    with claimed(out / RECORDS), short_turns(0 if live else AHEAD), rare_collections():
+    with claimed(out / RECORDS), short_turns(AHEAD), rare_collections():
         records = _Records(source, out, frame_detector, motion, settings, live)
         run.before = len(records.stored)
         try:
@@ -226,6 +228,7 @@ class _RecordedFrame:
     record: FrameRecord | None  # what it shows; None of a frame that is read for the motion of the next one alone
     is_new: bool = False  # whether the record is new
     moved: bool = False  # whether its motion is
+    motion: Future[CameraMotion | None] | None = None  # where it is estimated beside what the frame shows
 
 
 _Boxed = tuple[SourceFrame, FrameRecord | None, Sequence[Sighting] | None]
@@ -250,6 +253,8 @@ class _Records:
     ) -> None:
         self._source, self._frame_detector, self._motion = source, frame_detector, motion
         self._live, self._most = live, 0 if live else AHEAD
+        # Live, a frame's motion is estimated while its keypoints are detected: it is there sooner.
+        self._beside = ThreadPoolExecutor(1, "fgrecon motion") if live and motion else None
         self._reading: Iterator[SourceFrame] | None = None
         self._stages: Generator[_RecordedFrame] | None = None
         self._last_read = -1
@@ -267,6 +272,8 @@ class _Records:
         try:
             if self._stages is not None:
                 self._stages.close()
+            if self._beside is not None:
+                self._beside.shutdown()
         finally:
             self._records.flush()
             if self._motion is not None:
@@ -326,8 +333,12 @@ class _Records:
             for frame, record, vehicles in boxed:
                 if vehicles is None:
                     yield _RecordedFrame(frame, record)
-                else:
-                    yield _RecordedFrame(frame, self._frame_detector.record(frame, vehicles), is_new=True)
+                    continue
+                beside = None
+                if self._beside is not None and self._motion is not None:
+                    beside = self._beside.submit(self._motion, frame, vehicles)
+                record = self._frame_detector.record(frame, vehicles)
+                yield _RecordedFrame(frame, record, is_new=True, motion=beside)
 
     def _moved_to(
         self, recorded: Generator[_RecordedFrame], moving: MotionEstimator, before: FrameRecord | None
@@ -343,11 +354,13 @@ class _Records:
             if before is not None and frame.number == before.number:
                 moving.remember(frame, before)
             return one
+        estimated = one.motion.result() if one.motion else None
         if (key := str(record.number)) in self._moved:  # whose record was damaged, and is made anew
             record = replace(record, motion=self._moved[key])
             moving.remember(frame, record)
             return replace(one, record=record)
-        return replace(one, record=replace(record, motion=moving(frame, record.sightings)), moved=True)
+        motion = estimated if one.motion else moving(frame, record.sightings)
+        return replace(one, record=replace(record, motion=motion), moved=True)
 
 
 def _check_still_there(stored: Sequence[FrameRecord], source: ImageFrames, out: Path) -> None:

@@ -120,10 +120,11 @@ def frames(count, closed):
 
 
 def test_frames_come_when_they_are_due_and_others_are_gaps():
-    closed, live, found, begun = [], LiveFrames(10.0), [], []
+    closed, live, found = [], LiveFrames(10.0), []
     for frame in live(frames(12, closed)):
         found.append(frame)
-        begun.append(time.monotonic())
+        if len(found) == 1:
+            begun = time.monotonic()
         if frame.image is not None:
             time.sleep(0.05)
     assert [frame.number for frame in found] == [*range(12)]
@@ -131,7 +132,7 @@ def test_frames_come_when_they_are_due_and_others_are_gaps():
     assert 3 <= len(gaps) < 11
     assert all(frame.left_out and frame.problem == f"{frame.name}: {LEFT_OUT}" for frame in gaps)
     assert len(live.delays) == 11 - len(gaps)
-    assert begun[-1] - begun[1] >= 0.15  # not at once: the last one is due after 0.2 s
+    assert time.monotonic() - begun >= 0.22  # the last one is due so long after the first
     assert closed == [True]
     assert [*LiveFrames(1.0)(frames(0, []))] == []
 

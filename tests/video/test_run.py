@@ -364,3 +364,24 @@ def test_a_live_run_leaves_out_what_it_is_too_slow_for(drive, tmp_path):
     assert (again.before, again.left_out, again.delay_quantiles) == (8, rest.left_out, None)
     assert rows_of(again.frames, flat=False) == rows_of(rest.frames, flat=False)
     assert "000009.png" in rest.gaps or rest.frames[5].problem.endswith(LEFT_OUT)
+
+
+def test_a_live_run_that_leaves_nothing_out_is_as_any_other(drive, tmp_path, monkeypatch):
+    """Its motions are estimated beside what the frames show, and are the same."""
+
+    class Every:
+        delays = ()
+
+        def __init__(self, frames, **_):
+            self.frames = frames
+
+        def __iter__(self):
+            return iter(self.frames)
+
+    monkeypatch.setattr("fgrecon.video.newest.Newest", Every)
+    found, _ = run(drive, tmp_path / "live", moving=True, online=LiveFrames(60.0))
+    whole, _ = run(drive, tmp_path / "whole", moving=True, online=True)
+    assert found.left_out == 0
+    assert rows_of(found.frames, flat=False) == rows_of(whole.frames, flat=False)
+    assert found.way == whole.way
+    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("fgrecon")]
