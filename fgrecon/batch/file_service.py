@@ -191,8 +191,8 @@ class SolvedFile:
     @property
     def warnings(self) -> list[str]:
         """All that there is to warn of, for who sees nothing else."""
-        said = (*self.read.warnings, *self.read.notes)
-        return [*said, *self.contradictions, *self.focal_lengths[:1], *self.parts_left_out]
+        lines = (*self.read.warnings, *self.read.notes)
+        return [*lines, *self.contradictions, *self.focal_lengths[:1], *self.parts_left_out]
 
     def document(self, *, history: bool = False, warnings: Sequence[str] = (), path: Path | None = None) -> str:
         """The results file; see `fgrecon.batch.results_file.document`.

@@ -7,7 +7,14 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from fgrecon.calibration.box_fit import check_whole_cars, detected_outlines, fit_boxes
-from fgrecon.calibration.detector_fit import FACTORS, FittedDetector, as_said, check_labels, check_solved, fit_detector
+from fgrecon.calibration.detector_fit import (
+    FACTORS,
+    FittedDetector,
+    as_stated,
+    check_labels,
+    check_solved,
+    fit_detector,
+)
 from fgrecon.calibration.labelled_drives import Advance, DriveRequest, ScoredDrives, score_drives
 from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
@@ -68,7 +75,7 @@ def calibrate_detector(
         warn(line)
 
     def score(factor: float) -> ScoredDrives:
-        done = score_drives(request, advance, keypoints=as_said(factor))
+        done = score_drives(request, advance, keypoints=as_stated(factor))
         scored(factor, done)
         return done
 

@@ -30,7 +30,7 @@ FACTORS = SETTINGS.common_factors
 _QUANTITIES = "position", "yaw"
 
 
-def as_said(factor: float) -> KeypointOptions:
+def as_stated(factor: float) -> KeypointOptions:
     """Settings to reconstruct with for a fit: a facing is as probable as directions and neighbours say."""
     return KeypointOptions(common_factor=factor, facing_bias=0.0, facing_slope=1.0)
 
@@ -84,7 +84,7 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
     """Fit a detector's calibration.
 
     Args:
-        scored: The same boxes reconstructed with each of `FACTORS`, and with directions as they are (`as_said`).
+        scored: The same boxes reconstructed with each of `FACTORS`, and with directions as they are (`as_stated`).
         provenance: What is known of the data; plain values.
 
     Raises:
@@ -113,7 +113,7 @@ def _holding_elsewhere(
     drives = sorted({box.drive for box in scored[FACTORS[0]]})
     if len(drives) < 2:
         return inside, float("nan")
-    judged, said, right = [], [], []
+    judged, stated, right = [], [], []
     for drive in drives:
         others = {f: [box for box in some if box.drive != drive] for f, some in scored.items()}
         own = {f: [box for box in some if box.drive == drive] for f, some in scored.items()}
@@ -122,7 +122,7 @@ def _holding_elsewhere(
             judged.append((_solved(own[FACTORS[0]]), curves, _factor(without)))
         probability, hit = _chosen(own[FACTORS[0]])
         facing = _facing(others[FACTORS[0]])
-        said += [calibrated_facing(p, *facing) for p in probability.tolist()]
+        stated += [calibrated_facing(p, *facing) for p in probability.tolist()]
         right += hit.tolist()
     if judged:
         counts = [count for count, _, _ in judged]
@@ -130,7 +130,7 @@ def _holding_elsewhere(
             for level in SIGMAS:
                 held = [_at(curves[name, level], best) for _, curves, best in judged]
                 inside[name][level] = float(np.average(held, weights=counts))
-    return inside, reliability(said, right).error if said else float("nan")
+    return inside, reliability(stated, right).error if stated else float("nan")
 
 
 def _solved(boxes: Sequence[VideoBox]) -> int:
@@ -219,8 +219,8 @@ def holding(settings: Sequence[float], inside: Sequence[Array]) -> float:
 def _chosen(boxes: Sequence[VideoBox]) -> tuple[Array, NDArray[np.bool_]]:
     """Probability of the facing of each result that has one, and whether it is right."""
     faced = [box for box in boxes if box.outcomes[SYSTEM].facing is not None]
-    said = np.array([box.outcomes[SYSTEM].facing for box in faced], dtype=np.float64)
-    return said, np.array([not _is_flipped(box) for box in faced], dtype=bool)
+    stated = np.array([box.outcomes[SYSTEM].facing for box in faced], dtype=np.float64)
+    return stated, np.array([not _is_flipped(box) for box in faced], dtype=bool)
 
 
 def _facing(boxes: Sequence[VideoBox]) -> tuple[float, float]:

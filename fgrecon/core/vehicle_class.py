@@ -46,5 +46,5 @@ class VehicleClass:
 
     def __repr__(self) -> str:
         """The names with their probabilities."""
-        said = ", ".join(f"{name} {value:.2f}" for name, value in self.probabilities.items())
-        return f"{type(self).__name__}({said}; {self.scheme.value})"
+        shares = ", ".join(f"{name} {value:.2f}" for name, value in self.probabilities.items())
+        return f"{type(self).__name__}({shares}; {self.scheme.value})"

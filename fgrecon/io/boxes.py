@@ -101,8 +101,8 @@ class FileBoxes:
         others = {f"of other images ({_some(self.images)})": self.images.total()} if self.images else {}
         if self.absent:
             return "the folder has no file for it"
-        said = [f"{count} {reason}" for reason, count in (self.reasons | others).items()]
-        return f"left out: {', '.join(said)}" if said else "it has no box at all"
+        counts = [f"{count} {reason}" for reason, count in (self.reasons | others).items()]
+        return f"left out: {', '.join(counts)}" if counts else "it has no box at all"
 
 
 def _some(names: Counter[str]) -> str:

@@ -124,8 +124,8 @@ class Instance:
         observation = Observation.of(
             self.keypoints, self.confidence, self.box, self.covariance, self.confidence_midpoint, self.azimuth
         )
-        said = () if self.vehicle_class is None else (self.vehicle_class,)
-        return replace(observation, image_size=self.image_size, evidence=said)
+        evidence = () if self.vehicle_class is None else (self.vehicle_class,)
+        return replace(observation, image_size=self.image_size, evidence=evidence)
 
 
 @dataclass(frozen=True)

@@ -154,8 +154,8 @@ def _classed(boxes: list[NamedBox], image: NDArray[Any], classes: ClassSource | 
 
 def with_detected_classes(boxes: list[NamedBox], image: NDArray[Any], detector: VehicleDetector) -> list[NamedBox]:
     """Boxes of an image (H, W, 3) of the classes that a detector says; see `classes_at`."""
-    said = classes_at(np.array([one.corners for one in boxes]).reshape(-1, 4), image, detector)
-    return [replace(one, vehicle_class=known) for one, known in zip(boxes, said, strict=True)]
+    classes = classes_at(np.array([one.corners for one in boxes]).reshape(-1, 4), image, detector)
+    return [replace(one, vehicle_class=known) for one, known in zip(boxes, classes, strict=True)]
 
 
 def classes_at(boxes: NDArray[np.float64], image: NDArray[Any], detector: VehicleDetector) -> list[VehicleClass | None]:

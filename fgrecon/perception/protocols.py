@@ -103,17 +103,17 @@ def check_category(detector: object, category: Category) -> None:
 
 
 def class_by(
-    source: ClassSource | None, said: VehicleClass | None, kinds: Mapping[str, float] | None
+    source: ClassSource | None, boxed: VehicleClass | None, kinds: Mapping[str, float] | None
 ) -> VehicleClass | None:
     """Of which class a vehicle is, by who is to say it; None where nobody is, or does.
 
     Args:
         source: Who is to say it, or None.
-        said: What is said with its box.
+        boxed: What is said with its box.
         kinds: What the keypoint detector says (`Detection.kinds`).
     """
     if source is not ClassSource.KEYPOINTS:
-        return None if source is None else said
+        return None if source is None else boxed
     return None if kinds is None else VehicleClass(kinds)
 
 

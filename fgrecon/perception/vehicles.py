@@ -199,8 +199,8 @@ class NanodetVehicleDetector:
         kept = likely[suppress(boxes[likely], scores[likely], SETTINGS.max_overlap)]
         inside = np.clip(boxes[kept], 0.0, [width - 1.0, height - 1.0] * 2)
         kept = kept[visible := (inside[:, 2:] > inside[:, :2]).all(axis=1)]  # not beyond the border as a whole
-        said = _mean_numbers(boxes[kept], boxes, scores, numbers)
-        classes = tuple(_class_of(one) for one in said if one is not None)  # each is about itself
+        averaged = _mean_numbers(boxes[kept], boxes, scores, numbers)
+        classes = tuple(_class_of(one) for one in averaged if one is not None)  # each is about itself
         return Vehicles(inside[visible], scores[kept], classes=classes)
 
     def class_numbers(self, image: NDArray[Any], boxes: Array) -> list[Array | None]:

@@ -31,24 +31,24 @@ class ClassBelief:
     modelled: Mapping[str, float]
 
     @classmethod
-    def first(cls, said: Mapping[str, float]) -> ClassBelief:
+    def first(cls, classes: Mapping[str, float]) -> ClassBelief:
         """By the first frame that says something."""
-        return cls(said, said)
+        return cls(classes, classes)
 
-    def updated(self, said: Mapping[str, float], seconds: float, height: float, odds: float = 0.0) -> ClassBelief:
+    def updated(self, classes: Mapping[str, float], seconds: float, height: float, odds: float = 0.0) -> ClassBelief:
         """With what a frame says, as far as it counts so soon after the one before, and so small (pixels).
 
         Args:
-            said: Probability of each class by the frame.
+            classes: Probability of each class by the frame.
             seconds: Since the frame before.
             height: Of the vehicle, pixels.
             odds: Logarithm of a van's against a car's that are in what every frame says, and count once
                 (`fgrecon.solve.fitted_class.FittedClass`).
         """
-        least, said = SETTINGS.least_class_probability, _without(said, odds)
+        least, classes = SETTINGS.least_class_probability, _without(classes, odds)
         weight = min(seconds / SETTINGS.class_correlation_s, 1.0) * min(height / SETTINGS.full_height_px, 1.0)
         both = {
-            name: max(before, least) * max(said.get(name, 0.0), least) ** weight
+            name: max(before, least) * max(classes.get(name, 0.0), least) ** weight
             for name, before in self.probability.items()
         }
         total = sum(both.values())
@@ -66,12 +66,12 @@ class ClassBelief:
         return replace(self, modelled=self.probability)
 
 
-def _without(said: Mapping[str, float], odds: float) -> Mapping[str, float]:
+def _without(classes: Mapping[str, float], odds: float) -> Mapping[str, float]:
     """Probabilities without the odds of a van against a car that they were made with."""
     if odds == 0.0:
-        return said
-    either, car, van = said["car"] + said["van"], said["car"], said["van"] * math.exp(-odds)
-    return {**said, "car": either * car / (car + van), "van": either * van / (car + van)}
+        return classes
+    either, car, van = classes["car"] + classes["van"], classes["car"], classes["van"] * math.exp(-odds)
+    return {**classes, "car": either * car / (car + van), "van": either * van / (car + van)}
 
 
 def with_model(vehicle: VehicleFilter, model: VehicleModel) -> VehicleFilter:

@@ -64,25 +64,25 @@ def with_fitted_classes(
 
 def _fitted(observation: Observation, camera: Camera, setup: SolveSetup) -> Observation:
     """An observation that knows of which class its vehicle is."""
-    said, odds = setup.classes_of([observation]), FITTED_CLASS.log_odds
+    classes, odds = setup.classes_of([observation]), FITTED_CLASS.log_odds
     new = 0.0  # of what another program says
-    if said is None:
+    if classes is None:
         if not setup.fits_classes:
             return observation
-        said = {"car": 1.0, "van": 0.0}
-    elif min(said["car"], said["van"]) < FITTED_CLASS.least_probability:
+        classes = {"car": 1.0, "van": 0.0}
+    elif min(classes["car"], classes["van"]) < FITTED_CLASS.least_probability:
         return observation
     else:
         share = shipped_class_sizes().share
-        odds += FITTED_CLASS.said_log_odds
-        new = math.log(said["van"] / said["car"]) - math.log(share["van"] / share["car"])
+        odds += FITTED_CLASS.given_log_odds
+        new = math.log(classes["van"] / classes["car"]) - math.log(share["van"] / share["car"])
     car, van = (_energy(observation, camera, setup, name) for name in ("car", "van"))
     if car is None or van is None:
         return observation
-    most, either = FITTED_CLASS.most_nats, said["car"] + said["van"]
+    most, either = FITTED_CLASS.most_nats, classes["car"] + classes["van"]
     gain = min(max(car - van, -most), most)
     probability = either / (1.0 + math.exp(-(odds + new + FITTED_CLASS.energy_temper * gain)))
-    known = FittedClass({**said, "car": either - probability, "van": probability}, odds)
+    known = FittedClass({**classes, "car": either - probability, "van": probability}, odds)
     others = [one for one in observation.evidence if not isinstance(one, VehicleClass)]
     return replace(observation, evidence=(*others, known))
 

@@ -116,10 +116,10 @@ def _as_class(
 
     Once points say how far it is, its size is as free as the traffic's, whatever its class.
     """
-    said = setup.classes_of([observation])
+    classes = setup.classes_of([observation])
     if track is None:
-        return None, None if said is None else ClassBelief.first(said)
-    vehicle, belief = track.vehicle, _belief(said, track, observation, frame)
+        return None, None if classes is None else ClassBelief.first(classes)
+    vehicle, belief = track.vehicle, _belief(classes, track, observation, frame)
     before = model = vehicle.past[-1].problem.model
     if belief is not None and belief.outdated:
         belief = belief.renewed
@@ -131,17 +131,17 @@ def _as_class(
 
 
 def _belief(
-    said: Mapping[str, float] | None, track: VehicleTrack, observation: Observation, frame: CameraFrame
+    classes: Mapping[str, float] | None, track: VehicleTrack, observation: Observation, frame: CameraFrame
 ) -> ClassBelief | None:
     """Of which class a tracked vehicle is by one more frame, which may say nothing."""
-    if said is None:
+    if classes is None:
         return track.classes
     if track.classes is None:
-        return replace(ClassBelief.first(said), modelled={})
+        return replace(ClassBelief.first(classes), modelled={})
     place = observation.place
     height = 0.0 if place is None else float(place[3] - place[1])
     odds = [one.odds for one in observation.evidence if isinstance(one, FittedClass)]
-    return track.classes.updated(said, frame.time - track.last.time, height, *odds)
+    return track.classes.updated(classes, frame.time - track.last.time, height, *odds)
 
 
 def _step(before: CameraFrame, now: CameraFrame) -> FrameStep:

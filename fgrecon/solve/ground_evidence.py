@@ -23,7 +23,7 @@ from fgrecon.solve.time.frame import Frame
 class GroundEvidence:
     """What the vehicles of a frame say of G(0)."""
 
-    said: Marginal  # for where it is
+    marginal: Marginal  # for where it is
     common_factor: float  # by how much less it says of how sure that is, see `Problem.common_factor`
 
 

@@ -165,9 +165,9 @@ class GroundFilter:
             vehicles = look(nominal.plane if here is None else here.ground)
         evidence = vehicles.ground_evidence(known.where, nominal.plane)
         if evidence is not None:
-            said, before = evidence.said.scaled(share), known
-            less = said.scaled(1.0 / evidence.common_factor)
-            known = _known(lambda: (both(before.where, said), both(before.counted, less))) or known
+            marginal, before = evidence.marginal.scaled(share), known
+            less = marginal.scaled(1.0 / evidence.common_factor)
+            known = _known(lambda: (both(before.where, marginal), both(before.counted, less))) or known
         found = _ground(nominal, known)
         return (
             GroundFilter(None if found is None else _Past(frame, nominal, known, found.ground, share)),

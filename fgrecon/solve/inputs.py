@@ -99,8 +99,8 @@ class SolveSetup:
         Raises:
             InvalidInputError: A class is none of its scheme.
         """
-        said = self.classes_of(observations)
-        model = self.model if said is None else self.model_for(said)
+        classes = self.classes_of(observations)
+        model = self.model if classes is None else self.model_for(classes)
         return in_traffic(model) if has_points(observations) else model
 
     @staticmethod
@@ -110,11 +110,11 @@ class SolveSetup:
         Raises:
             InvalidInputError: A class is none of its scheme.
         """
-        said = [one for observation in observations for one in observation.evidence if isinstance(one, VehicleClass)]
-        if not said:
+        given = [one for observation in observations for one in observation.evidence if isinstance(one, VehicleClass)]
+        if not given:
             return None
         sizes = shipped_class_sizes()
-        found = [sizes.probabilities(one.probabilities, one.scheme.value) for one in said]
+        found = [sizes.probabilities(one.probabilities, one.scheme.value) for one in given]
         return {name: float(np.mean([one[name] for one in found])) for name in CLASSES}
 
     def model_for(self, classes: Mapping[str, float]) -> VehicleModel:

@@ -27,7 +27,7 @@ class FittedClassSettings:
     energy_temper: float = 0.6  # share of a difference that counts: keypoints of one image err together
     most_nats: float = 15.0  # of a difference that counts
     log_odds: float = -1.0  # of a van where both explain the image alike, and nobody else says more
-    said_log_odds: float = 0.75
+    given_log_odds: float = 0.75
     """Of a van more, where another program says something: the middle between those with which the mean of the cars'
     and of the vans' error is least on drives 0002, 0009, 0010 and 0095 of KITTI's, by the package's detector."""
     least_probability: float = 1e-3  # of a car and of a van, which another program leaves open; not tuned

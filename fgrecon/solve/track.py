@@ -184,12 +184,12 @@ def _model(looked: Sequence[tuple[Observation, Camera, SolveSetup]], setup: Solv
 
     What is said of it with some images holds in those that say nothing.
     """
-    said = setup.classes_of([one for one, _, _ in looked])
+    classes = setup.classes_of([one for one, _, _ in looked])
     fitted: list[Observation] = []
     for observation, camera, own in looked:
         of_class = observation
-        if said is not None and setup.classes_of([observation]) is None:
-            of_class = observation.with_evidence([VehicleClass(said)])
+        if classes is not None and setup.classes_of([observation]) is None:
+            of_class = observation.with_evidence([VehicleClass(classes)])
         fitted += with_fitted_classes([of_class], camera, own, own.ground)
     return setup.model_of(fitted)
 

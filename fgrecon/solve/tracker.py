@@ -363,15 +363,15 @@ def _estimates(
     single = len(solved.parts) == 1
     selected = [frame for frame, _ in frames.values()]
     facings = [frame.belief.facing(rotation_y(frame.pose.matrix())) for frame in selected]
-    adjusted, known, said = solved.adjusted, None, None
+    adjusted, known, by_frame = solved.adjusted, None, None
     spreads: Sequence[Array | None] = [None] * len(selected)
     if not single:
         each = dict(zip(frames, facings, strict=True))
-        said = [each.get(index) for index in range(len(solved.parts))]
+        by_frame = [each.get(index) for index in range(len(solved.parts))]
         known = marginalise(adjusted.graph, adjusted.optimum, at_once=frames)
         spreads = velocity_covariances(solved, selected)
     reconstructions = results(
-        solved.parts, solved.starts, adjusted, {}, solved.extra, only=frames, facing=said, marginalised=known
+        solved.parts, solved.starts, adjusted, {}, solved.extra, only=frames, facing=by_frame, marginalised=known
     )
     if not single:
         pairs = zip(selected, reconstructions, strict=True)

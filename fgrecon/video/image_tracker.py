@@ -80,9 +80,9 @@ class ImageTracker:
         chosen = for_detected(options) if vehicle_detector is None else options
         self.tracker = Tracker(prior=shape_prior, options=chosen, **arguments)
         self.frame: TrackedFrame | None = None
-        said = None if classes is None else one_of(ClassSource, "classes", classes)
+        source = None if classes is None else one_of(ClassSource, "classes", classes)
         self._look = FrameDetector(
-            shape_prior.category, vehicle_detector=boxes, keypoint_detector=networks, classes=said
+            shape_prior.category, vehicle_detector=boxes, keypoint_detector=networks, classes=source
         )
         self._association = GatedAssociation(given_up=self.tracker.forget) if association is None else association
         self._places: dict[int, NDArray[np.float64]] = {}  # of the camera in the image at hand, by its number

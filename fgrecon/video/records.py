@@ -138,7 +138,7 @@ def motion_from_row(row: Mapping[str, Any]) -> CameraMotion | None:
 
 
 def _plain(sighting: Sighting) -> dict[str, Any]:
-    observation, said = sighting.observation, sighting.vehicle_class
+    observation, vehicle_class = sighting.observation, sighting.vehicle_class
     arrays: dict[str, Any] = dict.fromkeys(_ARRAYS)
     if observation is not None:
         values = {name: getattr(observation, name) for name in _ARRAYS}
@@ -150,7 +150,9 @@ def _plain(sighting: Sighting) -> dict[str, Any]:
         "midpoint": None if observation is None else observation.confidence_midpoint,
         "boxed": observation is not None and observation.box is not None,
         "kind": None if sighting.kind is None else whole_text(sighting.kind),
-        "classes": None if said is None else json.dumps([said.scheme.value, dict(said.probabilities)]),
+        "classes": None
+        if vehicle_class is None
+        else json.dumps([vehicle_class.scheme.value, dict(vehicle_class.probabilities)]),
         **arrays,
     }
 

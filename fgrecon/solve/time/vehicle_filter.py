@@ -76,10 +76,10 @@ class VehicleFilter:
             DegenerateProblemError: The frame determines no pose.
         """
         before = self.frames[-1]
-        said, path = self.path.on(before.pose, step)
+        reached, path = self.path.on(before.pose, step)
         start = search_pose(problem, self.foreseen(step))
         frame = _frame(self.count, time, problem, start, step)
-        return VehicleUpdate(self.model, self, frame.following(before, said), self.shape, self.solved, path)
+        return VehicleUpdate(self.model, self, frame.following(before, reached), self.shape, self.solved, path)
 
     def foreseen(self, step: FrameStep) -> Array:
         """(4, 4) where the vehicle should be if it goes on as it did, and so does a camera of unknown motion."""
