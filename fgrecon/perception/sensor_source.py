@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,7 +22,7 @@ from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, calibration_beside, read_calibration
 from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes, sweep_of
 from fgrecon.io.poses import read_pose
-from fgrecon.io.sensors.clouds import CLOUDS
+from fgrecon.io.sensors.clouds import CLOUDS, NoPointError
 from fgrecon.io.sensors.data_set_sweeps import DataSetSweeps
 from fgrecon.io.sensors.depth_files import DEPTHS, read_depth
 from fgrecon.io.sensors.mask_files import MASKS, read_masks
@@ -143,8 +144,15 @@ class SensorSource:
         return tuple(found)
 
     def _points(self, file: Path, place: Place | None) -> Points:
-        """The points of a scan, by where the LiDAR is."""
-        return Points(read_points(file, place), origin=_origin(place), place_sigma=self.lidar_sigma)
+        """The points of a scan, by where the LiDAR is; none of an empty one, unless it is the only one."""
+        points = np.zeros((0, 3))
+        try:
+            points = read_points(file, place)
+        except NoPointError:
+            if str(file) == self.lidar:
+                raise
+            warnings.warn(f"{file} has no finite point: its image goes without.", stacklevel=2)
+        return Points(points, origin=_origin(place), place_sigma=self.lidar_sigma)
 
     def _of_pair(self, path: Path, right: Path) -> DepthMap:
         """The depth of an image that is the left one of a pair."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.errors import FgreconError
+from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
@@ -158,16 +158,21 @@ class Follower:
         observations = {
             i: observation for i, s in sightings.items() if (observation := s.classed_observation) is not None
         }
-        estimates = self.tracker.update(
-            record.time,
-            observations,
-            camera=self.camera,
-            world_T_camera=world_T_camera,
-            ground=self.ground,
-            motion_covariance=motion_covariance,
-            evidence=() if self._sense is None else self._sense(record),
-            estimated=self._estimated,
-        )
+        try:
+            estimates = self.tracker.update(
+                record.time,
+                observations,
+                camera=self.camera,
+                world_T_camera=world_T_camera,
+                ground=self.ground,
+                motion_covariance=motion_covariance,
+                evidence=() if self._sense is None else self._sense(record),
+                estimated=self._estimated,
+            )
+        except InvalidInputError as error:
+            if not error.field.startswith("evidence["):
+                raise
+            raise InvalidInputError(f"{record.name}: {error.field}", error.value, error.fix) from error
         for identity in ids:
             if identity in observations and identity not in self.tracker.refused:
                 placed = self.tracker.placed(identity)

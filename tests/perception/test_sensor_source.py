@@ -39,6 +39,17 @@ def test_a_scan_is_placed_and_knows_where_its_sensor_is(folder: Path) -> None:
     np.testing.assert_allclose(again.evidence(Path("any.png"))[0].points, points.points)
 
 
+def test_an_empty_scan_among_others_says_nothing(folder: Path) -> None:
+    """By itself it is refused."""
+    (folder / "000005.bin").write_bytes(b"")
+    given = CameraSource(calib=folder / "calib.txt")
+    with pytest.warns(UserWarning, match=r"000005\.bin has no finite point"):
+        (points,) = SensorSource(lidar=str(folder), camera=given).evidence(Path("000005.png"))
+    assert not len(points.points)
+    with pytest.raises(InvalidInputError, match="finite point"):
+        SensorSource(lidar=str(folder / "000005.bin"), camera=given).evidence(Path("000005.png"))
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [

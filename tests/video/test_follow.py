@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.camera import Ground
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Points
 from fgrecon.io.export import read_video_frames
 from fgrecon.io.poses import CameraPoses
@@ -246,3 +247,10 @@ def test_a_tracker_is_given_what_other_sensors_say_of_the_frame():
     for one in (record(0), record(1)):
         follow(one)
     assert given == [(), (points,)]
+
+
+def test_evidence_that_cannot_be_used_names_its_frame():
+    beside = Points(np.array([[0.0, 0.0, -10.0]]))
+    follow = Follower(Tracker(prior="car14"), GatedAssociation(), KITTI_CAMERA, sense=lambda _: (beside,))
+    with pytest.raises(InvalidInputError, match=r"^7\.png: evidence\[0\]"):
+        follow(record(7))

@@ -47,6 +47,10 @@ class PointFrame(StrEnum):
     UNKNOWN = "its own"
 
 
+class NoPointError(InvalidInputError):
+    """A file is whole, but has no finite point."""
+
+
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """The points of a file."""
@@ -59,7 +63,8 @@ def read_cloud(path: Path) -> Cloud:
     """The finite points of a file.
 
     Raises:
-        InvalidInputError: It cannot be read, its ending means nothing, or it has no point.
+        NoPointError: It has no point.
+        InvalidInputError: It cannot be read, or its ending means nothing.
         MissingPackageError: The package that reads such files is not installed.
     """
     ending = ending_of(path)
@@ -76,7 +81,7 @@ def read_cloud(path: Path) -> Cloud:
         raise InvalidInputError("lidar", str(path), f"Give a whole file of its kind. The reason: {error}") from error
     kept = points[np.isfinite(points).all(axis=1)]
     if not len(kept):
-        raise InvalidInputError("lidar", str(path), "Give a file with at least one finite point.")
+        raise NoPointError("lidar", str(path), "Give a file with at least one finite point.")
     return Cloud(kept, frame)
 
 
