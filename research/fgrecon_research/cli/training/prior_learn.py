@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -34,9 +34,6 @@ class AnnotationOptions:
             metavar="THEIRS=OURS", help="A keypoint's name in the files and in the category; repeat for more."
         ),
     ] = None
-    even_views: Annotated[
-        bool, typer.Option(help="Let each view class count alike, where the files tell the views.")
-    ] = True
 
 
 @dataclass(frozen=True)
@@ -44,15 +41,8 @@ class Learning:
     """How the prior is learnt."""
 
     basis: Annotated[int, typer.Option(min=0, help="Number of basis vectors.")] = 5
-    symmetric: Annotated[bool, typer.Option(help="Impose left-right symmetry.")] = True
     perspective: Annotated[
         bool, typer.Option("--perspective", help="Take perspective out of the annotations to first order.")
-    ] = False
-    dof: Annotated[
-        float, typer.Option(min=0.0, help="Degrees of freedom of Student's t noise; 0 means Gaussian noise.")
-    ] = 2.0
-    plain: Annotated[
-        bool, typer.Option("--plain", help="Maximise the plain likelihood instead of the restricted one.")
     ] = False
     restarts: Annotated[int, typer.Option(min=1, help="Random starts; the best likelihood is kept.")] = 3
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0
@@ -68,10 +58,7 @@ class Learning:
         """The settings as the method has them."""
         return NrsfmOptions(
             basis=self.basis,
-            symmetric=self.symmetric,
             perspective=self.perspective,
-            dof=self.dof or None,
-            restricted=not self.plain,
             min_visible=min_visible,
             restarts=self.restarts,
             seed=self.seed,
@@ -122,7 +109,7 @@ def learn_command(
     screen = terminal.screen()
     with screen.bar() as advance:
         learnt = learn_prior(
-            data if annotations.even_views else replace(data, views=None),
+            data,
             size=size,
             options=learning.options(least),
             proportions=learning.proportions,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io import integrity
 from fgrecon.io.files import write_text
 from fgrecon.io.json_fields import read_json
 from fgrecon_research.training.keypoints.labelling import Source
@@ -46,27 +47,16 @@ def file_hash(path: Path) -> str:
     Raises:
         InvalidInputError: It cannot be read.
     """
-    return files_hash([path])
+    return integrity.file_hash(path)[:_DIGITS]
 
 
-def files_hash(paths: Iterable[Path]) -> str:
-    """Of the names and contents of some files, in this order; of the content alone where there is one.
+def files_hash(paths: Sequence[Path]) -> str:
+    """Of the names and contents of some files, in this order.
 
     Raises:
         InvalidInputError: One cannot be read.
     """
-    files = list(paths)
-    found = hashlib.sha256()
-    for path in files:
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise InvalidInputError(str(path), reason, "Give a file that can be read.") from error
-        if len(files) > 1:
-            found.update(f"{path.name} {len(content)}\n".encode())
-        found.update(content)
-    return found.hexdigest()[:_DIGITS]
+    return text_hash("".join(f"{path.name} {integrity.file_hash(path)}\n" for path in paths))
 
 
 def text_hash(text: str) -> str:
