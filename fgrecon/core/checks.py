@@ -43,15 +43,22 @@ def _numbers(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: s
     if value is None:  # which numpy takes for NaN
         raise InvalidInputError(field, value, fix or f"Give numbers in an array of shape {shape_words(shape)}.")
     try:
-        given = np.asarray(value)
+        given = np.asarray(_detached(value))
         if given.dtype.kind not in (_NUMBERS if shape else _NUMBER):  # text, dates; complex numbers would lose a part
             raise TypeError(f"{given.dtype}")
         array = hidden_as_nan(value, given.astype(np.float64, copy=False))
-    except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # the last of tensors with a gradient
+    except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # the last of sparse tensors
         raise InvalidInputError(
             field, value, fix or f"Give numbers in an array of shape {shape_words(shape)}."
         ) from error
     return array
+
+
+def _detached(value: Any) -> Any:
+    """A tensor without its gradient, in the memory that numpy reads; anything else as it is."""
+    for step in ("detach", "cpu"):
+        value = getattr(value, step, lambda same=value: same)()
+    return value
 
 
 def hidden_as_nan(value: Any, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -235,9 +242,7 @@ def array_of(value: Any, field: str) -> NDArray[np.float64]:
     Raises:
         InvalidInputError: It is none of numbers.
     """
-    for step in ("detach", "cpu"):
-        value = getattr(value, step, lambda same=value: same)()
     try:
-        return hidden_as_nan(value, np.asarray(value, dtype=np.float64))
+        return hidden_as_nan(value, np.asarray(_detached(value), dtype=np.float64))
     except (TypeError, ValueError) as error:
         raise InvalidInputError(field, value, "Give an array of numbers.") from error

@@ -192,6 +192,8 @@ def as_evidence(given: Any) -> tuple[Evidence, ...]:
     Raises:
         InvalidInputError: It is no sequence of evidence, or has the same twice, or the same measurements.
     """
+    if isinstance(given, tuple) and not given:  # of most vehicles there is none
+        return given
     found = as_list("evidence", given)
     known: dict[Any, list[NDArray[Any]]] = {}
     for number, one in enumerate(found):

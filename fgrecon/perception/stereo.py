@@ -55,7 +55,7 @@ def with_depths(evidence: Sequence[Evidence], image: NDArray[Any], camera: Camer
     Raises:
         InvalidInputError: It is no evidence, or the images of a pair differ in size.
     """
-    given = as_evidence(evidence) if evidence else ()
+    given = as_evidence(evidence)
     return tuple(stereo_depth(image, camera, one) if isinstance(one, StereoPair) else one for one in given)
 
 

@@ -125,7 +125,8 @@ class SolveSetup:
 
 def has_points(observations: Iterable[Observation]) -> bool:
     """Whether measured points say how far a vehicle is."""
-    return any(isinstance(one, Points) for observation in observations for one in observation.evidence)
+    every = (one for observation in observations for one in observation.evidence)
+    return any(isinstance(one, Points) and len(one.points) > 0 for one in every)
 
 
 @lru_cache(maxsize=128)  # one object for one class, so that what is prepared for it is found again
@@ -376,7 +377,7 @@ def evidence_of(given: Sequence[Evidence], camera: Camera, *, of_all: bool = Fal
         InvalidInputError: It is no sequence of evidence, points are in another frame or unit, or what can be of one
             vehicle alone is given for all.
     """
-    evidence = as_evidence(given) if given != () else ()
+    evidence = as_evidence(given)
     for number, one in enumerate(evidence):
         if isinstance(one, RangeRate) or (of_all and isinstance(one, Range)):
             fix = (

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fgrecon import DepthMap, Mask, Observation, Points, Range, VehicleClass
+from fgrecon import DepthMap, Mask, Observation, Points, Range, VehicleClass, reconstruct
 from fgrecon.core.evidence import as_evidence
 from fgrecon.errors import InvalidInputError
 
@@ -37,6 +37,8 @@ def test_bad_points_are_refused(points: np.ndarray, sigma: object, named: str) -
 def test_evidence_is_a_sequence_of_evidence() -> None:
     with pytest.raises(InvalidInputError, match=r"^evidence\[0\]"):
         as_evidence([np.zeros((3, 3))])
+    with pytest.raises(InvalidInputError, match=r"^evidence"):
+        reconstruct(np.zeros((14, 2)), np.eye(3), evidence=np.zeros((5, 3)))  # type: ignore[arg-type]
     with pytest.raises(InvalidInputError, match=r"^evidence"):
         Observation.of(np.zeros((14, 2))).with_evidence([np.zeros((3, 3))])  # type: ignore[list-item]
 
@@ -70,3 +72,24 @@ def test_equal_measurements_do_not_count_twice() -> None:
     mask = Mask(np.roll(filled, 7, axis=1))
     assert len(as_evidence([Points(scan), Points(moved), nothing, replace(nothing), Mask(filled), mask])) == 6
     assert len(as_evidence([Range(9.0, 0.1), Range(9.0, 0.1)])) == 2  # two radars may say the same
+
+
+def test_tensors_may_have_gradients_and_be_elsewhere() -> None:
+    class Tensor:
+        """What numpy refuses until it is detached and brought to the host, as torch's."""
+
+        def __init__(self, *done: str) -> None:
+            self.done = done
+
+        def detach(self) -> Tensor:
+            return Tensor(*self.done, "detach")
+
+        def cpu(self) -> Tensor:
+            return Tensor(*self.done, "cpu")
+
+        def __array__(self, *_: object, **__: object) -> np.ndarray:
+            if self.done != ("detach", "cpu"):
+                raise RuntimeError
+            return np.array([[0.0, 1.0, 5.0]])
+
+    assert Points(Tensor()).points.tolist() == [[0.0, 1.0, 5.0]]  # type: ignore[arg-type]

@@ -159,6 +159,14 @@ def test_the_best_starts_are_those_of_the_least_energies(count: int, monkeypatch
     assert (best_of(replace(energy), starts, count).translation == expected.translation).all()
 
 
+def test_an_empty_scan_is_none() -> None:
+    observation, _ = scanned(-0.8, PLACE)
+    how = {"ground": 1.65, "size_prior": "kitti", "options": OPTIONS}
+    alone = reconstruct(observation, CAMERA, **how)
+    empty = reconstruct(observation, CAMERA, **how, evidence=[Points(np.zeros((0, 3)))])
+    assert (empty.camera_T_object == alone.camera_T_object).all()
+
+
 def test_a_vehicle_without_keypoints() -> None:
     observation, points = scanned(-0.8, PLACE)
     none = replace(observation, keypoints=np.full((14, 2), np.nan), evidence=(Points(points),))
