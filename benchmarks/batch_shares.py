@@ -13,6 +13,7 @@ from typing import Any
 from unittest.mock import patch
 
 import fgrecon.batch.reconstructor
+import fgrecon.batch.solve_tasks
 import fgrecon.solve.pipeline
 from fgrecon.batch import Reconstructor, sources_of
 from fgrecon.batch.parts import Parts
@@ -37,8 +38,8 @@ _KEYPOINTS = {
 _IMAGES = {
     (fgrecon.batch.reconstructor.Pictures, "get"): "read the image",
     (fgrecon.batch.reconstructor.NanodetVehicleDetector, "__call__"): "detector",
-    (fgrecon.batch.reconstructor, "find_keypoints"): "keypoints",
-    (fgrecon.solve.pipeline, "reconstruct"): "solve",
+    (fgrecon.batch.reconstructor, "tasks_in_boxes"): "keypoints",
+    (fgrecon.batch.solve_tasks, "solve_tasks"): "solve",
 }
 
 

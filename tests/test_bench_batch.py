@@ -6,9 +6,12 @@ import time
 
 import pytest
 
-from benchmarks.batch_shares import Clocked, keypoint_shares, share_lines
+from benchmarks.batch_shares import Clocked, image_shares, keypoint_shares, share_lines
 from benchmarks.bench_batch import Sample, check, make_cars, plot, run_and_keep, summary
 from benchmarks.process_tree import Usage, memory_of, usage_of_tree
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.images import write_png
+from fgrecon.simulation.sample import sample_street
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 
@@ -36,6 +39,17 @@ def test_shares_are_of_everything(tmp_path):
     assert {"read keypoints", "solve: graph", "rows of results", "write the parts"} < shares.keys()
     assert all(value >= 0.0 for value in shares.values())
     assert share_lines(shares)[-1].startswith("| all |")
+
+
+@pytest.mark.slow
+def test_shares_of_images_are_of_everything(tmp_path):
+    street = sample_street(load_prior("car14"))
+    for number in range(9):
+        write_png(tmp_path / f"{number}.png", street.image)
+    shares, cars = image_shares([tmp_path], 1)
+    assert {"read the image", "detector", "keypoints", "solve"} < shares.keys()
+    assert shares["the rest"] < 0.1 * sum(shares.values())
+    assert cars > 0
 
 
 def test_what_an_inner_stage_takes_is_none_of_the_outer_ones():
