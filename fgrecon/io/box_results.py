@@ -1,6 +1,7 @@
 """Boxes from what detectors and trackers return in Python: class, score and id are kept. None of them is imported.
 
-Ids that are no numbers, as motpy's, become the CRC 32 of their text.
+Ids that are no numbers, as motpy's, become the CRC 32 of their text. Boxes of id -1, which `trackers` gives to all that
+it does not follow yet, are left out.
 
 | object | known by | numbers of classes |
 |---|---|---|
@@ -45,6 +46,8 @@ def boxes_from(given: Any) -> list[NamedBox] | None:
     boxes = []
     for number, (corners, kind, score, track) in enumerate(found):
         name = _CAR if kind is None else one_word(kind)
+        if isinstance(track, int) and track < 0:
+            continue  # what a tracker of `trackers` does not follow yet
         known = class_of_kind(name)
         if known is None and name.lower() != _CAR:
             continue

@@ -61,6 +61,7 @@ def test_no_box_and_no_class():
     empty = supervision(xyxy=np.zeros((0, 4)), confidence=np.zeros(0), class_id=np.zeros(0), tracker_id=None)
     assert boxes_from(empty) == []
     assert len(find_vehicles(lambda _: empty, np.zeros((9, 9, 3), np.uint8))) == 0
+    assert boxes_from(supervision(tracker_id=np.array([-1, -1]))) == []
     bare = supervision(class_id=None, confidence=None, tracker_id=None)
     assert [(box.kind, box.score, box.name) for box in boxes_from(bare)] == [("car", None, "0"), ("car", None, "1")]
     assert boxes_from(np.zeros((1, 4))) is None

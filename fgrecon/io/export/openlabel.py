@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from fgrecon.io.export.annotation_files import keypoints_of
 from fgrecon.io.export.image_info import (
-    VISIBLE,
     ImageInfo,
     box_in,
     by_image,
     image_box,
     info_of,
-    keypoint_names,
     quaternion,
     score,
 )
@@ -91,15 +90,14 @@ def _data(item: NamedResult, info: ImageInfo) -> dict[str, Any]:
     low, high = np.split(image_box(item), 2)
     system = WORLD if info.world_T_camera is not None else CAMERA
     cuboid = [*centre.tolist(), *quaternion(axes), *result.box_size.tolist()]
-    visible = result.diagnostics.visibility >= VISIBLE
     points = [
         {
             "name": name,
-            "val": pixel,
+            "val": uv.tolist(),
             "coordinate_system": CAMERA,
-            "attributes": {"boolean": [{"name": "visible", "val": bool(seen)}]},
+            "attributes": {"boolean": [{"name": "visible", "val": seen}]},
         }
-        for name, pixel, seen in zip(keypoint_names(item), result.pose.wireframe_uv.tolist(), visible, strict=True)
+        for name, uv, seen in keypoints_of(item)
     ]
     told = {"confidence": float(score(item))} | ({} if item.track is None else {"track": item.track})
     box = [*((low + high) / 2.0).tolist(), *(high - low).tolist()]

@@ -14,6 +14,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from fgrecon.io.export.label_files import one_image
 from fgrecon.io.export.protocol_buffer import field
 from fgrecon.io.export.results import NamedResult
 
+_ON_VEHICLE = "sample_token", "sequence", "world_T_camera", "world_T_vehicle"
 _VEHICLE = 1  # Waymo's `TYPE_VEHICLE`
 _META = {"use_camera": True, "use_lidar": False, "use_radar": False, "use_map": False, "use_external": True}
 _ABOUT = "method_name", "authors", "affiliation", "description", "code_url", "paper_url"
@@ -81,21 +83,9 @@ def _nuscenes(
     meta: Mapping[str, Any] = _META,
 ) -> str:
     found: dict[str, list[dict[str, Any]]] = {i.sample_token: [] for i in images.values() if i.sample_token}
-    for item, info in _of_samples(results, images, "sample_token", "world_T_camera"):
-        length, width, height = item.result.box_size.tolist()
-        centre, axes = box_in(info, item.result.camera_T_object, item.result.box_size)
-        x, y, z, w = quaternion(axes)
-        assert info.sample_token is not None
-        found.setdefault(info.sample_token, []).append(
-            {
-                "sample_token": info.sample_token,
-                "translation": centre.tolist(),
-                "size": [width, length, height],
-                "rotation": [w, x, y, z],
-                "velocity": [0.0, 0.0] if item.velocity is None else item.velocity[:2].tolist(),
-                **entry(item),
-            }
-        )
+    for box in _boxes(results, images, "sample_token", "world_T_camera"):
+        velocity = [0.0, 0.0] if box.item.velocity is None else box.item.velocity[:2].tolist()
+        found.setdefault(box.token, []).append(box.entry(box.token) | {"velocity": velocity} | entry(box.item))
     return json.dumps({"meta": meta, "results": found}, allow_nan=False) + "\n"
 
 
@@ -114,16 +104,14 @@ def argoverse2_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageI
     from pyarrow import feather
 
     rows = []
-    for item, info in _of_samples(results, images, "sample_token", "sequence", "world_T_camera", "world_T_vehicle"):
-        place, axes = _on_vehicle(item, info)
-        x, y, z, w = quaternion(axes)
-        times = {"timestamp_ns": int(info.sample_token or 0), "log_id": info.sequence}
-        box = dict(zip(("tx_m", "ty_m", "tz_m"), place.tolist(), strict=True))
-        box |= dict(zip(("length_m", "width_m", "height_m"), item.result.box_size.tolist(), strict=True))
-        what = {"category": "REGULAR_VEHICLE", "track_uuid": track_of(item), "score": float(score(item))}
-        rows.append(box | {"qw": w, "qx": x, "qy": y, "qz": z} | what | times)
+    for box in _boxes(results, images, *_ON_VEHICLE):
+        place = zip(("tx_m", "ty_m", "tz_m", "length_m", "width_m", "height_m"), box.numbers, strict=True)
+        turn = zip(("qw", "qx", "qy", "qz"), box.rotation, strict=True)
+        what = {"category": "REGULAR_VEHICLE", "track_uuid": track_of(box.item), "score": float(score(box.item))}
+        times = {"timestamp_ns": int(box.token), "log_id": box.info.sequence}
+        rows.append(dict(place) | dict(turn) | what | times)
     if not rows:
-        raise InvalidInputError("results", "no vehicle of a sweep", "Give results of images that show labelled sweeps.")
+        raise InvalidInputError("results", "no vehicle of a sweep", "Give results of images that show sweeps.")
     sink = io.BytesIO()
     feather.write_feather(pa.Table.from_pylist(rows), sink, compression="uncompressed")
     return sink.getvalue()
@@ -141,16 +129,15 @@ def waymo_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo])
         InvalidInputError: One is missing for an image; names it.
     """
     content = b""
-    for item, info in _of_samples(results, images, "sample_token", "sequence", "world_T_camera", "world_T_vehicle"):
-        place, axes = _on_vehicle(item, info)
-        length, width, height = item.result.box_size.tolist()
-        heading = float(np.arctan2(axes[1, 0], axes[0, 0]))
-        box = b"".join(field(n, v) for n, v in enumerate((*place.tolist(), width, length, height, heading), start=1))
-        label = field(1, box) + field(3, _VEHICLE) + field(4, track_of(item))
-        about = field(4, info.sequence or "") + field(5, int(info.sample_token or 0))
-        content += field(1, field(1, label) + field(2, np.float32(score(item))) + about)
+    for one in _boxes(results, images, *_ON_VEHICLE):
+        x, y, z, length, width, height = one.numbers
+        heading = float(np.arctan2(one.axes[1, 0], one.axes[0, 0]))
+        box = b"".join(field(n, v) for n, v in enumerate((x, y, z, width, length, height, heading), start=1))
+        label = field(1, box) + field(3, _VEHICLE) + field(4, track_of(one.item))
+        about = field(4, one.info.sequence or "") + field(5, int(one.token))
+        content += field(1, field(1, label) + field(2, np.float32(score(one.item))) + about)
     if not content:
-        raise InvalidInputError("results", "no vehicle of a frame", "Give results of images that show labelled frames.")
+        raise InvalidInputError("results", "no vehicle of a frame", "Give results of images that show frames.")
     return content
 
 
@@ -165,20 +152,10 @@ def zod_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) ->
         InvalidInputError: One is missing for an image; names it.
     """
     found: dict[str, list[dict[str, Any]]] = {}
-    for item, info in _of_samples(results, images, "sample_token", "world_T_camera", "world_T_vehicle"):
-        frame = (info.sample_token or "").rpartition("/")[2]
-        place, axes = _on_vehicle(item, info)
-        x, y, z, w = quaternion(axes)
-        found.setdefault(frame, []).append(
-            {
-                "sample_token": frame,
-                "translation": place.tolist(),
-                "size": item.result.box_size[[1, 0, 2]].tolist(),
-                "rotation": [w, x, y, z],
-                "detection_name": "Vehicle_Van" if (item.kind or "").lower() == "van" else "Vehicle_Car",
-                "detection_score": float(score(item)),
-            }
-        )
+    for box in _boxes(results, images, "sample_token", "world_T_camera", "world_T_vehicle"):
+        frame, kind = box.token.rpartition("/")[2], "Van" if (box.item.kind or "").lower() == "van" else "Car"
+        about = {"detection_name": f"Vehicle_{kind}", "detection_score": float(score(box.item))}
+        found.setdefault(frame, []).append(box.entry(frame) | about)
     return json.dumps({"results": found}, allow_nan=False) + "\n"
 
 
@@ -194,38 +171,53 @@ def cityscapes3d_text(results: Sequence[NamedResult], images: Mapping[str, Image
     """
     one_image(results, "Cityscapes")
     entries = []
-    for item, info in _of_samples(results, images, "world_T_camera"):
-        centre, axes = box_in(info, item.result.camera_T_object, item.result.box_size)
-        x, y, z, w = quaternion(axes)
-        low, high = np.split(image_box(item), 2)
+    for box in _boxes(results, images, "world_T_camera"):
+        low, high = np.split(image_box(box.item), 2)
         outline = [*low.tolist(), *(high - low).tolist()]
         entries.append(
             {
                 "2d": {"modal": outline, "amodal": outline},
-                "3d": {
-                    "center": centre.tolist(),
-                    "dimensions": item.result.box_size.tolist(),
-                    "rotation": [w, x, y, z],
-                },
+                "3d": {"center": box.numbers[:3], "dimensions": box.numbers[3:], "rotation": box.rotation},
                 "label": "car",
-                "score": float(score(item)),
+                "score": float(score(box.item)),
             }
         )
     return json.dumps({"objects": entries}, allow_nan=False) + "\n"
 
 
-def _on_vehicle(item: NamedResult, info: ImageInfo) -> tuple[Array, Array]:
-    """Centre (3,) of a vehicle's box and its axes (3, 3) in the frame of the vehicle with the camera, at the sample."""
-    centre, axes = box_in(info, item.result.camera_T_object, item.result.box_size)
-    assert info.world_T_vehicle is not None
-    vehicle_T_world = np.linalg.inv(info.world_T_vehicle).astype(np.float64)
-    return transform(vehicle_T_world, centre), vehicle_T_world[:3, :3] @ axes
+@dataclass(frozen=True, eq=False)
+class _Box:
+    """A vehicle's box in the frame of a submission."""
+
+    item: NamedResult
+    info: ImageInfo
+    centre: Array  # (3,)
+    axes: Array  # (3, 3) forward, left, up
+
+    @property
+    def token(self) -> str:
+        """Of the image's sample."""
+        return self.info.sample_token or ""
+
+    @property
+    def numbers(self) -> list[float]:
+        """Its centre, and length, width and height."""
+        return [*self.centre.tolist(), *self.item.result.box_size.tolist()]
+
+    @property
+    def rotation(self) -> list[float]:
+        """Its quaternion w, x, y, z."""
+        x, y, z, w = quaternion(self.axes)
+        return [w, x, y, z]
+
+    def entry(self, token: str) -> dict[str, Any]:
+        """As nuScenes' and ZOD's evaluations have it."""
+        size = self.item.result.box_size[[1, 0, 2]].tolist()
+        return {"sample_token": token, "translation": self.numbers[:3], "size": size, "rotation": self.rotation}
 
 
-def _of_samples(
-    results: Sequence[NamedResult], images: Mapping[str, ImageInfo], *needed: str
-) -> Iterator[tuple[NamedResult, ImageInfo]]:
-    """The vehicles of images that are of a sample, with what is known of their images."""
+def _boxes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo], *needed: str) -> Iterator[_Box]:
+    """The boxes of images that are of a sample; in the world's frame, or the vehicle's where its pose is needed."""
     for image, items in by_image(results).items():
         info = info_of(image, images)
         if info.sample_token == "":
@@ -234,5 +226,9 @@ def _of_samples(
             if getattr(info, name) is None:
                 fix = "Give a file of images, or the data set (`images`, --images), that has it."
                 raise InvalidInputError(f"images.{image or '*'}.{name}", "nothing", fix)
+        frame_T_world = np.eye(4)
+        if "world_T_vehicle" in needed and info.world_T_vehicle is not None:
+            frame_T_world = np.linalg.inv(info.world_T_vehicle).astype(np.float64)
         for item in items:
-            yield item, info
+            centre, axes = box_in(info, item.result.camera_T_object, item.result.box_size)
+            yield _Box(item, info, transform(frame_T_world, centre), frame_T_world[:3, :3] @ axes)
