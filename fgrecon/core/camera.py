@@ -161,13 +161,13 @@ class Camera:
             known = f"{self.image_size[0]} x {self.image_size[1]}"
             fix = (
                 f"Give a calibration for that size: this one is for {known} pixels. Of a part of an image say which "
-                "(Camera.cropped, --crop); one made smaller needs its intrinsics as much smaller."
+                "(Camera.cropped, --crop); of one made smaller or larger the camera is Camera.resized."
             )
             raise InvalidInputError("image", f"{size[0]} x {size[1]} pixels", fix)
         return replace(self, image_size=size)
 
     def scaled(self, ratio: float) -> Camera:
-        """The camera with focal lengths (and skew) that many times as long.
+        """The camera with focal lengths (and skew) that many times as long, for an image of the same size.
 
         Raises:
             InvalidInputError: It is no positive number.
@@ -202,6 +202,25 @@ class Camera:
         matrix = self.matrix.copy()
         matrix[:2, 2] -= corner
         return replace(self, matrix=matrix, image_size=size, cropped_from_larger=True)
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The camera of its whole image made smaller or larger, whose corners stay corners.
+
+        Args:
+            width: Of the new image, pixels.
+            height: Likewise.
+
+        Raises:
+            InvalidInputError: The size of its own image is not known, or the new one is none.
+        """
+        size = _image_size((width, height))
+        if self.image_size is None:
+            raise InvalidInputError("image_size", None, "Give a camera that knows the size of its own image.")
+        ratio = np.divide(size, self.image_size)
+        matrix = self.matrix.copy()
+        matrix[:2] *= ratio[:, None]
+        matrix[:2, 2] += 0.5 * ratio - 0.5  # pixel centres are at whole numbers
+        return replace(self, matrix=matrix, image_size=size)
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
         """Pixels (..., 2) of points (..., 3) in the camera frame, without distortion.

@@ -215,3 +215,18 @@ def test_a_camera_of_another_resolution_is_refused():
         with pytest.raises(InvalidInputError, match="1242 x 375"):
             camera.with_size_of(np.zeros((height, width, 3)))
     assert Camera(MATRIX).with_size_of(np.zeros((9, 7, 3))).image_size == (7, 9)
+
+
+def test_a_resized_image_has_the_corners_of_its_own():
+    """As cv2.resize makes it: each pixel of the new image covers as much of the old one."""
+    own = (1242, 375)
+    whole = Camera(np.array([[700.0, 2.0, 600.0], [0.0, 710.0, 180.0], [0.0, 0.0, 1.0]]), [0.1, 0, 0, 0], own)
+    points = np.array([[1.0, 0.5, 8.0], [-3.0, 1.0, 20.0]])
+    small = whole.resized(621, 125)
+    assert small.image_size == (621, 125)
+    np.testing.assert_allclose(small.project(points), (whole.project(points) + 0.5) * [1 / 2, 1 / 3] - 0.5)
+    np.testing.assert_allclose(small.resized(*own).matrix, whole.matrix)
+    with pytest.raises(InvalidInputError, match="knows the size"):
+        Camera.of([700.0, 700.0, 600.0, 180.0]).resized(621, 188)
+    with pytest.raises(InvalidInputError, match="image_size"):
+        whole.resized(0, 188)
