@@ -737,12 +737,12 @@ cdef class ImageRows(Source):
 
 
 cdef double evaluate(
-    Observation terms, const double *R, const double *t, const double *x, double least, double most,
+    Observation terms, const double *R, const double *t, const double *x, double least,
     double *g, double *M, double *weights, double *work
 ) noexcept nogil:
-    """Robust energy of a hypothesis, or infinity where it is above the most that counts.
+    """Robust energy of a hypothesis; gradient g (D,), lower triangle of M (D, D), and weights (K,).
 
-    Unless g is NULL, gradient g (D,) and lower triangle of M (D, D); and weights (K,).
+    Where g is NULL the energy is without that of other sensors, and has no derivatives.
     """
     cdef int K = terms.keypoints, N = terms.coefficients, D = 6 + terms.coefficients, A, a, i, k, n
     cdef double *J = work + 14 * terms.points  # (4, D)
@@ -825,42 +825,51 @@ cdef double evaluate(
         if want:
             g[6 + n] += x[n]
             M[(6 + n) * D + 6 + n] += 1.0
-    if terms.measured_beside is not None and energy < most:
-        energy += terms.measured_beside.add(R, t, x, most - energy, g, M, J if want else NULL)
-    return INFINITY if near or energy > most else energy
+    if want and terms.measured_beside is not None:
+        energy += terms.measured_beside.add(R, t, x, INFINITY, g, M, J)
+    return INFINITY if near else energy
 
 
 def best(
     Observation terms, const double[:, :, ::1] rotation, const double[:, ::1] translation,
     const double[:, ::1] coefficients, double least, int count
 ):
-    """Indices of the hypotheses of the least energies, at most so many, best first; see `search`."""
-    cdef int H = rotation.shape[0], N = terms.coefficients, h, i, kept = 0
-    cdef double energy
+    """Indices of the hypotheses of the least energies, at most so many, best first; see `search`.
+
+    What other sensors say is asked for those first of which all else says the least, and no further than it matters.
+    """
+    cdef int H = rotation.shape[0], N = terms.coefficients, h, i, j, kept = 0
+    cdef double energy, most
     if coefficients.shape[0] != H or coefficients.shape[1] != N or translation.shape[0] != H or not H or count < 1:
         raise ValueError("starts of different numbers, or none")
     if not terms.is_bound:
         raise ValueError("bind the observation by `search_by` first")
-    cdef double[::1] energies = np.empty(count), weights = np.empty(terms.keypoints)
+    cdef double[::1] energies = np.empty(count), weights = np.empty(terms.keypoints), first = np.empty(H)
     cdef double[::1] work = np.empty(14 * terms.points + 4 * (6 + N) + terms.keypoints)
+    cdef const double *x = &coefficients[0, 0] if N else NULL
+    for h in range(H):
+        first[h] = evaluate(
+            terms, &rotation[h, 0, 0], &translation[h, 0], x + h * N, least, NULL, NULL, &weights[0], &work[0]
+        )
     found = np.empty(count, dtype=np.intp)
-    cdef Py_ssize_t[::1] order = found
-    with nogil:
-        for h in range(H):
-            energy = evaluate(
-                terms, &rotation[h, 0, 0], &translation[h, 0], &coefficients[h, 0] if N else NULL, least,
-                energies[kept - 1] if kept == count else INFINITY, NULL, NULL, &weights[0], &work[0]
+    cdef Py_ssize_t[::1] order = found, ranked = np.argsort(first, kind="stable")
+    for j in range(H):
+        h = ranked[j]
+        energy, most = first[h], energies[kept - 1] if kept == count else INFINITY
+        if terms.measured_beside is not None and energy < most:
+            energy += terms.measured_beside.add(
+                &rotation[h, 0, 0], &translation[h, 0], x + h * N, most - energy, NULL, NULL, NULL
             )
-            if kept == count:
-                if not energy < energies[kept - 1]:
-                    continue
-                kept -= 1
-            i = kept
-            while i > 0 and energy < energies[i - 1]:
-                energies[i], order[i] = energies[i - 1], order[i - 1]
-                i -= 1
-            energies[i], order[i] = energy, h
-            kept += 1
+        if kept == count:
+            if not energy < most:
+                continue
+            kept -= 1
+        i = kept
+        while i > 0 and energy < energies[i - 1]:
+            energies[i], order[i] = energies[i - 1], order[i - 1]
+            i -= 1
+        energies[i], order[i] = energy, h
+        kept += 1
     return found[:kept]
 
 
@@ -914,7 +923,7 @@ def search(
         for n in range(N):
             state[12 + n] = coefficients[h, n]
         energies[h] = evaluate(
-            terms, state, state + 9, state + 12, least, INFINITY, &g[h, 0], &M[h, 0], state + 12 + N, &work[0]
+            terms, state, state + 9, state + 12, least, &g[h, 0], &M[h, 0], state + 12 + N, &work[0]
         )
     for iteration in range(I):
         if 0 < keep[iteration] < count:
@@ -957,8 +966,8 @@ def search(
                     trial[12 + n] = state[12 + n] + step[6 + n]
                 energy = evaluate(
                     terms,
-                    &trial[0], &trial[9], &trial[0] + 12, least, INFINITY, &trial_g[0], &trial_M[0],
-                    &trial[0] + 12 + N, &work[0]
+                    &trial[0], &trial[9], &trial[0] + 12, least, &trial_g[0], &trial_M[0], &trial[0] + 12 + N,
+                    &work[0]
                 )
                 gain = energies[h] - energy
                 moved |= fabs(gain) > settled

@@ -3,7 +3,7 @@
 """Measured points on a vehicle's surface, compiled: the equations are those of `factors.surface_points`."""
 
 from libc.math cimport INFINITY, NAN, exp, fabs, log, sqrt
-from libc.string cimport memcpy
+from libc.string cimport memcpy, memset
 
 import numpy as np
 
@@ -13,6 +13,30 @@ from factors import surface_points as rows
 from factors.mixture import STIFFEST
 
 cdef extern from *:
+    """
+    #if defined(_MSC_VER)
+    #define FGRECON_ALONE __restrict
+    #else
+    #define FGRECON_ALONE __restrict__
+    #endif
+
+    /* Four weighted rows (4, D) with residuals (4,) added to a gradient (D,) and to a lower triangle (D, D) at once. */
+    static void fgrecon_add_four(
+        const double *FGRECON_ALONE J, const double *w, const double *r, int D, double *FGRECON_ALONE g,
+        double *FGRECON_ALONE M
+    ) {
+        const double *j0 = J, *j1 = J + D, *j2 = J + 2 * D, *j3 = J + 3 * D;
+        for (int a = 0; a < D; a++) {
+            const double c0 = w[0] * j0[a], c1 = w[1] * j1[a], c2 = w[2] * j2[a], c3 = w[3] * j3[a];
+            double *m = M + a * D;
+            g[a] += (c0 * r[0] + c1 * r[1]) + (c2 * r[2] + c3 * r[3]);
+            for (int b = 0; b <= a; b++) m[b] += (c0 * j0[b] + c1 * j1[b]) + (c2 * j2[b] + c3 * j3[b]);
+        }
+    }
+    """
+    void add_four "fgrecon_add_four"(
+        const double *J, const double *w, const double *r, int D, double *g, double *M
+    ) nogil
     unsigned int FGRECON_SOURCES
 
 SOURCES = FGRECON_SOURCES  # what it was compiled from, for `factors.native`
@@ -80,7 +104,7 @@ cdef class Term:
     ) noexcept nogil:
         """Energy, or infinity once it is above the most that counts.
 
-        Unless J (6 + N,), which is for work, is NULL, gradient and the lower triangle of the matrix are added, by turn,
+        Unless J (4, 6 + N), which is for work, is NULL, gradient and the lower triangle of the matrix are added, by turn,
         camera's axes, coefficients.
         """
         return 0.0
@@ -319,10 +343,13 @@ cdef class Points(Term):
     cdef double add(
         self, const double *R, const double *t, const double *x, double most, double *g, double *M, double *J
     ) noexcept nogil:
-        cdef int i, k, a, b, D = 6 + self.coefficients
+        cdef int i, k, a, count = 0, D = 6 + self.coefficients
         cdef View view
+        cdef double weights[4]
+        cdef double off[4]
+        cdef double *row
         cdef double local[3]
-        cdef double gain, beyond, wrong, sigma, r, inlier, density, weight, product = 1.0, energy = 0.0
+        cdef double gain, beyond, wrong, sigma, r, inlier, density, scale, product = 1.0, energy = 0.0
         cdef const double *n
         most /= self.share
         self.prepare(R, t, x, &view)
@@ -340,19 +367,24 @@ cdef class Points(Term):
                     return INFINITY
             if J == NULL or inlier <= 1e-6 * density:
                 continue
-            weight, n = inlier / density * self.share, &self.patches[k, 3]
-            J[0] = (n[1] * local[2] - n[2] * local[1]) / sigma
-            J[1] = (n[2] * local[0] - n[0] * local[2]) / sigma
-            J[2] = (n[0] * local[1] - n[1] * local[0]) / sigma
+            weights[count], off[count], row, n = inlier / density * self.share, r, J + count * D, &self.patches[k, 3]
+            scale = 1.0 / sigma
+            row[0] = scale * (n[1] * local[2] - n[2] * local[1])
+            row[1] = scale * (n[2] * local[0] - n[0] * local[2])
+            row[2] = scale * (n[0] * local[1] - n[1] * local[0])
             for a in range(3):
-                J[3 + a] = -(R[3 * a] * n[0] + R[3 * a + 1] * n[1] + R[3 * a + 2] * n[2]) / sigma
+                row[3 + a] = -scale * (R[3 * a] * n[0] + R[3 * a + 1] * n[1] + R[3 * a + 2] * n[2])
             for a in range(self.coefficients):
-                J[6 + a] = -self.along_normal[k, a] / sigma
-            for a in range(D):
-                gain = weight * J[a]
-                g[a] += gain * r
-                for b in range(a + 1):
-                    M[a * D + b] += gain * J[b]
+                row[6 + a] = -scale * self.along_normal[k, a]
+            count += 1
+            if count == 4:
+                add_four(J, weights, off, D, g, M)
+                count = 0
+        if count:
+            memset(J + count * D, 0, (4 - count) * D * sizeof(double))
+            for a in range(count, 4):
+                weights[a] = off[a] = 0.0
+            add_four(J, weights, off, D, g, M)
         return self.share * energy
 
     def match(

@@ -50,6 +50,7 @@ class SurfacePatches:
             normal = -normal
         length = np.linalg.norm(normal, axis=1)
         kept = length > 1e-9  # twice the area of a triangle that has one
+        kept = np.flatnonzero(kept)[_near_one_another(centres[kept])]
         mean, normal = centres[kept], normal[kept] / length[kept, None]
         first = mean.min(axis=0) - MARGIN
         counts = np.ceil((mean.max(axis=0) + MARGIN - first) / SPACING).astype(int) + 1
@@ -79,6 +80,16 @@ class SurfacePatches:
         place = np.rint((points - self.first) / SPACING)
         x, y, z = np.clip(place, 0, np.array(self.grid.shape) - 1).astype(np.intp).T
         return self.grid[x, y, z]
+
+
+def _near_one_another(centres: Array) -> NDArray[np.intp]:
+    """(P,) an order of places (P, 3) in which neighbours are near one another: in memory as well."""
+    cells = ((centres - centres.min(axis=0)) / SPACING).astype(np.uint64)
+    code = np.zeros(len(centres), dtype=np.uint64)  # Morton's: the bits of the three, interleaved
+    for bit in range(10):
+        for axis in range(3):
+            code |= ((cells[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return np.argsort(code, kind="stable")
 
 
 def _nearest(points: Array, centres: Array, count: int) -> NDArray[np.int32]:
