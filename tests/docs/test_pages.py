@@ -53,6 +53,13 @@ def test_python_is_python(page):
         ast.parse(block)
 
 
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_no_table_is_broken_by_an_empty_line(page):
+    lines = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE).splitlines()
+    firsts = [i for i, line in enumerate(lines) if line.startswith("|") and not lines[i - 1].startswith("|")]
+    assert [lines[i] for i in firsts if not re.match(r"\|[ :]*---", lines[i + 1])] == []
+
+
 def test_the_rooms_are_those_that_are_checked():
     made = runpy.run_path(str(REPOSITORY / "docs/rooms.py"))["page"]()
     assert (REPOSITORY / "docs/reference/rooms.md").read_text(encoding="utf-8") == made, "run `python docs/rooms.py`"
