@@ -117,7 +117,8 @@ def test_files_that_are_no_images(street, weights):
 
 
 def test_boxes_mean_nothing_for_a_keypoint_file(street):
-    done = run("reconstruct", street / "k.json", "--box", "1,2,30,40")
+    (file := street / "k.json").write_text("[]")
+    done = run("reconstruct", file, "--box", "1,2,30,40")
     assert isinstance(done.exception, InvalidInputError)
     assert done.exception.field == "box"
 
