@@ -154,7 +154,9 @@ def as_quaternion(field: str, value: NDArray[np.float64]) -> NDArray[np.float64]
     Raises:
         InvalidInputError: It is of another length.
     """
-    if not abs(float(np.linalg.norm(value)) - 1.0) < RIGID:
+    with np.errstate(over="ignore"):  # of enormous numbers
+        length = float(np.linalg.norm(value))
+    if not abs(length - 1.0) < RIGID:
         raise InvalidInputError(field, value.tolist(), "Give a unit quaternion w, x, y, z.")
     return value
 

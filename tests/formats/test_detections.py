@@ -123,6 +123,14 @@ def test_boxes_of_other_images_are_refused(written):
         with pytest.raises(InvalidInputError, match="Give images that show boxes of"):
             read_detections(path, *open_sequence(other))
     elif name == "argoverse2":
+        import pyarrow as pa
+        from pyarrow import feather
+
+        rows = feather.read_table(path).to_pylist()
+        for wrong in ([1.0], True, "wide"):
+            feather.write_feather(pa.Table.from_pylist([{**row, "score": wrong} for row in rows]), path)
+            with pytest.raises(InvalidInputError, match=r"d.feather: score.*no numbers"):
+                read_detections(path, *open_sequence(source))
         path.write_bytes(b"none")
         with pytest.raises(InvalidInputError, match=r"d.feather.*whole"):
             read_detections(path, *open_sequence(source))

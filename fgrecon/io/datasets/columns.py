@@ -51,6 +51,8 @@ class Columns:
             found = self.values(name)
             try:
                 values = np.array(found, dtype=np.float64)
+                if values.ndim != 1 or bool in map(type, found):
+                    raise TypeError(name)
             except (TypeError, ValueError):
                 raise InvalidInputError(f"{self.where}{name}", "no numbers", "Give a column of numbers.") from None
             wrong = np.flatnonzero(~np.isfinite(values))
@@ -88,6 +90,7 @@ def read_columns(path: Path, columns: Sequence[str] | None = None) -> Columns:
             table = feather.read_table(path, columns=columns, memory_map=False)
         else:
             table = parquet.read_table(path, columns=columns)
-    except (OSError, pa.ArrowException) as error:
+        table.validate(full=True)
+    except (OSError, ValueError, pa.ArrowException) as error:
         raise InvalidInputError(str(path), str(error), "Give a feather or Parquet file that is whole.") from error
     return Columns(table, f"{path}: ")

@@ -189,7 +189,7 @@ def _of_feather(path: Path, drive: DataSequence) -> _Read:
                     moment.name,
                     DetectedBox(
                         number=number,
-                        kind=drive.cars.get(kind, str(kind)),
+                        kind=drive.cars.get(str(kind), str(kind)),
                         score=float(scores[number]),
                         place={"row": number},
                         entry=entry,
