@@ -22,7 +22,9 @@ from fgrecon.core.depth_map import DepthCalibration, DepthMap, pixel_rays
 from fgrecon.core.evidence import Evidence, Points
 from fgrecon.solve.solve_settings import ROAD
 
-_cells: WeakKeyDictionary[Points | DepthMap, Array] = WeakKeyDictionary()  # vehicle by vehicle asks for the same scan's
+# Vehicle by vehicle asks for the same scan's: its lowest points, and its plane with the ground that was given.
+_cells: WeakKeyDictionary[Points | DepthMap, Array] = WeakKeyDictionary()
+_planes: WeakKeyDictionary[Points | DepthMap, tuple[Ground | None, Ground | None]] = WeakKeyDictionary()
 
 
 def ground_by_points(
@@ -39,9 +41,7 @@ def ground_by_points(
     surer = given is not None and given.height_sigma <= ROAD.height_sigma and given.slope_sigma <= ROAD.slope_sigma
     if surer or camera.focal_sigma:
         return given
-    found = [_lowest(one, camera) for one in evidence if _metric(one, disabled)]
-    cells = np.concatenate([np.zeros((0, 3)), *found])
-    plane = _plane(cells, given) if len(cells) >= ROAD.least_cells else None
+    plane = _plane_of([one for one in evidence if _metric(one, disabled)], given, camera)
     if plane is None:
         return given
     places = np.array([one.place_sigma for one in evidence if isinstance(one, Points)]).reshape(-1, 2)
@@ -55,6 +55,19 @@ def ground_by_points(
         return unsure
     surer = unsure.height_sigma <= given.height_sigma and unsure.slope_sigma <= given.slope_sigma
     return replace(unsure, tilt_sigma=min(given.tilt_sigma, plane.tilt_sigma)) if surer else given
+
+
+def _plane_of(evidence: Sequence[Points | DepthMap], given: Ground | None, camera: Camera) -> Ground | None:
+    """The plane by the lowest points of all; None where too few show it. That of a single one is remembered."""
+    only = evidence[0] if len(evidence) == 1 else None
+    known = None if only is None else _planes.get(only)
+    if known is not None and known[0] is given:
+        return known[1]
+    cells = np.concatenate([np.zeros((0, 3)), *(_lowest(one, camera) for one in evidence)])
+    plane = _plane(cells, given) if len(cells) >= ROAD.least_cells else None
+    if only is not None:
+        _planes[only] = given, plane
+    return plane
 
 
 def _metric(one: Evidence, disabled: Collection[str]) -> TypeGuard[Points | DepthMap]:

@@ -76,3 +76,13 @@ def test_what_is_given_stays_where_points_do_not_show_more():
 def test_a_wall_is_no_ground():
     wall = DepthMap(np.full((375, 1242), 12.6))
     assert ground_by_points([wall], None, CAMERA, ()) is None
+
+
+def test_the_plane_of_a_scan_is_that_of_the_ground_that_is_given():
+    """Though it is made once for all vehicles."""
+    points, level, other = Points(scan()), Ground.level(1.65), Ground.of_height(1.5)
+    every = level, None, other, level
+    each = [ground_by_points([points], given, CAMERA, ()) for given in every]
+    anew = [ground_by_points([Points(scan())], given, CAMERA, ()) for given in every]
+    assert [repr(one) for one in each] == [repr(one) for one in anew]
+    assert each[0] is not each[2]
