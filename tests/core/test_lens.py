@@ -115,4 +115,4 @@ def test_stereo_of_fisheyes_is_refused():
     image, motion = np.zeros((20, 30, 3), np.uint8), np.eye(4)
     motion[0, 3] = -0.5
     with pytest.raises(InvalidInputError, match="right: got a fisheye"):
-        stereo_depth(image, FISHEYE, StereoPair(image, FISHEYE, motion))
+        stereo_depth(image, FISHEYE, StereoPair(image + 1, FISHEYE, motion))
