@@ -29,6 +29,7 @@ from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.images import read_image
 from fgrecon.io.json_fields import read_json
+from fgrecon.io.keypoint_file import Instance
 from fgrecon.io.keypoints import NOT_JSON
 from fgrecon.io.run_settings import RunSettings, settings_to_dict
 from fgrecon.io.track_file import Track, parse_track
@@ -38,6 +39,8 @@ from fgrecon.solve.track import reconstruct_track
 from fgrecon.viz import Recording, SolvedVehicle, TrackInputs, Truth, contact_sheet, save_picture
 
 FORMAT = f"fgrecon.track/{SCHEMA_VERSION}"
+
+_SEVERAL = "Give one vehicle a file; `fgrecon reconstruct` takes several vehicles of one image."
 
 
 @dataclass(frozen=True)
@@ -86,10 +89,11 @@ def solve(
         names: What is known of the keypoints' names, or None.
 
     Raises:
-        InvalidInputError: The file is malformed, or an image is missing.
+        InvalidInputError: The file is malformed or names several vehicles, or an image is missing.
     """
     read = read_tasks(file, settings.prior.category, source, names)
     tasks = read.tasks
+    _check_of_one_vehicle(file, [task.instance for task in tasks])
     labelled = _labels(file, settings)
     frames = [(task.instance.name, task.instance.frame) for task in tasks]
     labels = [name if frame is None else str(frame) for name, frame in frames]
@@ -109,6 +113,24 @@ def solve(
     solved = [tasks[index] for index in result.numbers] if truths is not None else []
     alone = tuple(solve_task(task, quiet).result for task in solved)
     return Solved(whole_text(file.stem), file, tuple(tasks), sight, result, alone, tuple(read.warnings))
+
+
+def _check_of_one_vehicle(file: Path, instances: Sequence[Instance]) -> None:
+    """Refuse a file whose instances cannot be one vehicle: two are in one image, or they have several ids.
+
+    Raises:
+        InvalidInputError: It does.
+    """
+    ids = {one.track: one.name for one in instances if one.track is not None}
+    if len(ids) > 1:
+        (first, a), (second, b), *_ = ids.items()
+        raise InvalidInputError("track", f"{file}: {a} has id {first}, {b} has {second}", _SEVERAL)
+    seen: dict[tuple[str | None, int | None], str] = {}
+    for one in instances:
+        where = one.image, one.frame
+        if any(place is not None for place in where) and seen.setdefault(where, one.name) != one.name:
+            place = one.image or f"frame {one.frame}"
+            raise InvalidInputError("image", f"{file}: {seen[where]} and {one.name} are both in {place}", _SEVERAL)
 
 
 def distinguished(tracks: Sequence[Solved]) -> list[Solved]:

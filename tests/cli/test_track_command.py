@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export import read_results
 from fgrecon.io.images import read_image, write_png
 from fgrecon.viz import replay
@@ -37,6 +38,37 @@ def test_a_keypoint_file_with_the_images_of_one_vehicle(write, drive, tmp_path):
     assert list(back.frames) == [5, 7, 9]
     assert len(back.joint) > 0
     assert read_image(sheet).std() > 5
+
+
+@pytest.mark.parametrize(
+    ("same", "said"),
+    [
+        ({"image": "street.png"}, "image:5 and image:7 are both in street.png"),
+        ({"frame": 4}, "image:5 and image:7 are both in frame 4"),
+        ({"image": "left.png", "frame": 4}, "image:5 and image:7 are both in left.png"),
+    ],
+)
+def test_several_vehicles_of_one_image_are_no_track(write, drive, same, said):
+    for instance in drive[0]["instances"][:2]:
+        instance.update(same)
+    done = run("track", write(drive[0]), INTRINSICS)
+    assert isinstance(done.exception, InvalidInputError)
+    assert said in done.exception.value
+    assert "fgrecon reconstruct" in done.exception.fix
+
+
+def test_vehicles_of_several_ids_are_no_track(write, drive):
+    for number, instance in enumerate(drive[0]["instances"]):
+        instance.update(track=number % 2, frame=number)
+    done = run("track", write(drive[0]), INTRINSICS)
+    assert isinstance(done.exception, InvalidInputError)
+    assert "has id 0" in done.exception.value
+
+
+def test_a_vehicle_before_two_cameras_at_a_time_is_a_track(write, drive):
+    for instance, image in zip(drive[0]["instances"], ("left.png", "right.png", "left-2.png"), strict=True):
+        instance.update(track=3, frame=4, image=image)
+    assert run("track", write(drive[0]), INTRINSICS).exit_code == 0
 
 
 def test_results_of_a_track_are_exported(write, drive, tmp_path):
