@@ -64,27 +64,49 @@ def with_fitted_classes(
 
 def _fitted(observation: Observation, camera: Camera, setup: SolveSetup) -> Observation:
     """An observation that knows of which class its vehicle is."""
-    classes, odds = setup.classes_of([observation]), FITTED_CLASS.log_odds
-    new = 0.0  # of what another program says
-    if classes is None:
-        if not setup.fits_classes:
-            return observation
-        classes = {"car": 1.0, "van": 0.0}
-    elif min(classes["car"], classes["van"]) < FITTED_CLASS.least_probability:
+    classes = setup.classes_of([observation])
+    if not (setup.fits_classes if classes is None else is_open(classes)):
         return observation
-    else:
-        share = shipped_class_sizes().share
-        odds += FITTED_CLASS.given_log_odds
-        new = math.log(classes["van"] / classes["car"]) - math.log(share["van"] / share["car"])
+    odds, new = odds_before_image(classes)
+    classes = {"car": 1.0, "van": 0.0} if classes is None else classes
     car, van = (_energy(observation, camera, setup, name) for name in ("car", "van"))
     if car is None or van is None:
         return observation
-    most, either = FITTED_CLASS.most_nats, classes["car"] + classes["van"]
-    gain = min(max(car - van, -most), most)
-    probability = either / (1.0 + math.exp(-(odds + new + FITTED_CLASS.energy_temper * gain)))
+    either = classes["car"] + classes["van"]
+    probability = either / (1.0 + math.exp(-log_odds_of_van(odds + new, car, van)))
     known = FittedClass({**classes, "car": either - probability, "van": probability}, odds)
     others = [one for one in observation.evidence if not isinstance(one, VehicleClass)]
     return replace(observation, evidence=(*others, known))
+
+
+def is_open(classes: Mapping[str, float]) -> bool:
+    """Whether another program leaves open which of a car and a van a vehicle is."""
+    return min(classes["car"], classes["van"]) >= FITTED_CLASS.least_probability
+
+
+def odds_before_image(classes: Mapping[str, float] | None) -> tuple[float, float]:
+    """Log odds of a van against a car where the image says nothing, and of what another program says of it.
+
+    Args:
+        classes: Probability of each class by other programs, which is open; None where they say nothing.
+    """
+    if classes is None:
+        return FITTED_CLASS.log_odds, 0.0
+    share = shipped_class_sizes().share
+    new = math.log(classes["van"] / classes["car"]) - math.log(share["van"] / share["car"])
+    return FITTED_CLASS.log_odds + FITTED_CLASS.given_log_odds, new
+
+
+def log_odds_of_van(odds: float, car: float, van: float) -> float:
+    """Log odds of a van against a car with what an image says.
+
+    Args:
+        odds: Those without it.
+        car: Energy of the vehicle as a car, nats.
+        van: And as a van.
+    """
+    most = FITTED_CLASS.most_nats
+    return odds + FITTED_CLASS.energy_temper * min(max(car - van, -most), most)
 
 
 def _energy(observation: Observation, camera: Camera, setup: SolveSetup, name: str) -> float | None:

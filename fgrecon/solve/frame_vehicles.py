@@ -15,6 +15,7 @@ from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.solve.class_filter import ClassBelief, with_model
+from fgrecon.solve.either_class import EitherClass
 from fgrecon.solve.fitted_class import FittedClass
 from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
 from fgrecon.solve.ground_filter import CameraFrame, KnownGround
@@ -24,17 +25,19 @@ from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.time.frame import Frame, FrameStep
+from fgrecon.solve.time.time_settings import SETTINGS as TIME
 from fgrecon.solve.time.vehicle_filter import FilterModel, VehicleFilter, VehicleUpdate, first_observed
 from fgrecon.solve.vehicle.model import in_traffic
 
 
 @dataclass(frozen=True)
 class FrameContext:
-    """Where a vehicle's frame was taken: the time that was given, from where, and the ground that it was solved on."""
+    """A vehicle's frame: its time as it was given, from where it was taken, and the ground that it was solved on."""
 
     time: float
     world_T_camera: gtsam.Pose3 | None
     known: KnownGround | None
+    either: EitherClass | None = None  # what a van instead of a car changes; None where its class is not open
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,15 @@ class VehicleTrack:
     last: CameraFrame  # the frame of a camera in which it was observed last
     contexts: tuple[FrameContext, ...]  # of each frame of its past
     classes: ClassBelief | None = None  # of which class it is, by its frames; None where none says
+
+    def recent_either_class(self, time: float) -> EitherClass | None:
+        """What a van in its place changes by a frame so shortly before that another one (seconds) shows no more."""
+        last, begun = self.contexts[-1].either, time
+        for context in reversed(self.contexts):
+            if context.either is not last:
+                break
+            begun = context.time
+        return last if time - begun < TIME.class_correlation_s else None
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.solve.depth_scale import with_scales
+from fgrecon.solve.either_class import with_either_class
 from fgrecon.solve.fitted_class import with_fitted_classes
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
@@ -107,7 +108,9 @@ def reconstruct(
     parts = [GraphObservation(problem)]
     adjusted = minimise_from_proposals(parts, [pose], factors)
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (perf_counter() - posed) * 1e3}
-    result = with_mirrored_gain(results(parts, [pose], adjusted, milliseconds, factors)[0], problem)
+    result = results(parts, [pose], adjusted, milliseconds, factors)[0]
+    result = with_either_class(result, problem, setup, adjusted.optimum)
+    result = with_mirrored_gain(result, problem)
     if observed.warning is None:
         warnings = InputWarnings()
         warnings.add_result("the vehicle", observed.observation, result)

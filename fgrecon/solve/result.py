@@ -47,6 +47,7 @@ from fgrecon.solve.pose_probability import facing_by_energies, with_probabilitie
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.proposals.scaled_depth import ScaledDepth
+from fgrecon.solve.proposals.search_settings import SETTINGS as SEARCH
 from fgrecon.solve.solve_settings import STATUS
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
 from fgrecon.solve.weakness import weaknesses
@@ -129,9 +130,11 @@ def results(
         if only is not None and i not in only:
             continue
         uncertainty = read_covariances(part, known.weights[i], known.values, known.marginals, shapes)
-        end = _End(part, optimum, i, adjusted.alternatives[i], None if facing is None else facing[i], uncertainty)
         points, point_weights = graph.points_of(i)
         gained = {} if uncertainty is None else _gained(graph, i, uncertainty, without)
+        if uncertainty is not None and len(points):
+            uncertainty = uncertainty.with_unseen_underside(SEARCH.points.underside_sigma_m)
+        end = _End(part, optimum, i, adjusted.alternatives[i], None if facing is None else facing[i], uncertainty)
         diagnostics = {
             "energies": {} if failed else optimum.energies if single else graph.energies_of(i, values, weights[i]),
             "history": pose_history(start, adjusted, i, single=single) if options.keep_history else (),

@@ -39,6 +39,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.solve.box_check import boxes_off, boxes_warning
 from fgrecon.solve.detected import KnownBox
+from fgrecon.solve.either_class import with_either_class
 from fgrecon.solve.focal import candidates, distinct_lengths, energies_of, focal_prior, log_ratio, starts
 from fgrecon.solve.graph.covariance import covariance_of, undetermined
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
@@ -242,6 +243,9 @@ def _reconstruct(images: _Images, boxes: Sequence[KnownBox | None] | None = None
         scene = _Estimate(tried[best], known)
     vehicles = scene.independent.vehicles
     each = scene.results | {n: _result(one.converged()) for n, one in vehicles.items() if n not in scene.results}
+    for number, one in each.items():
+        if (vehicle := vehicles[number]).box is None:
+            each[number] = with_either_class(one, vehicle.problem, setup, vehicle.adjusted.optimum)
     each = {n: with_mirrored_gain(one, vehicles[n].problem) for n, one in each.items()}
     each = _weakened_where_left_out(each, images, scene)
     margin = setup.options.ambiguity_margin

@@ -38,6 +38,7 @@ from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.solve.depth_scale import with_scales
+from fgrecon.solve.either_class import either_class, mean_log_odds
 from fgrecon.solve.fitted_class import with_fitted_classes
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
@@ -104,7 +105,7 @@ def reconstruct_track(
     posed = perf_counter()
     adjusted = minimise_from_proposals(parts, starts, factors, in_order=in_order)
     milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
-    frames = results(parts, starts, adjusted, {}, factors)
+    frames = _with_either_class(results(parts, starts, adjusted, {}, factors), parts, setup)
     frames = [with_mirrored_gain(one, part.problem) for part, one in zip(parts, frames, strict=True)]
     for part, one in zip(parts, frames, strict=True):
         warnings.add_result(f"image {part.image}", part.problem.observation, one)
@@ -123,6 +124,21 @@ def reconstruct_track(
         graph=Deferred(lambda: graph_factors(adjusted.graph, optimum.state.weights)) if keep else (),
         milliseconds=milliseconds,
     )
+
+
+def _with_either_class(
+    frames: Sequence[Reconstruction], parts: Sequence[GraphObservation], setup: SolveSetup
+) -> list[Reconstruction]:
+    """The results with covariances for both classes, where that of the vehicle is open."""
+    classes = setup.classes_of([part.problem.observation for part in parts])
+    either = [
+        None
+        if one.uncertainty.pose_covariance is None
+        else either_class(part.problem, one.camera_T_object, one.shape.coefficients, setup, classes)
+        for part, one in zip(parts, frames, strict=True)
+    ]
+    odds = mean_log_odds(either)
+    return [one if e is None else e.added_to(one, odds) for e, one in zip(either, frames, strict=True)]
 
 
 def _with_evidence(

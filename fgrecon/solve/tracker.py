@@ -33,11 +33,13 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
+from fgrecon.solve.class_filter import ClassBelief
 from fgrecon.solve.depth_scale import with_scales
+from fgrecon.solve.either_class import EitherClass, either_class, mean_log_odds
 from fgrecon.solve.fitted_class import with_fitted_classes
 from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, look_at_vehicles
 from fgrecon.solve.graph.records import graph_factors
-from fgrecon.solve.ground_filter import CameraFrame, GroundFilter
+from fgrecon.solve.ground_filter import CameraFrame, GroundFilter, KnownGround
 from fgrecon.solve.image_facing import couple_facings
 from fgrecon.solve.inputs import (
     SolveSetup,
@@ -57,7 +59,7 @@ from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.camera_drift import CameraDrift
 from fgrecon.solve.time.frame import Frame
 from fgrecon.solve.time.smooth import smooth
-from fgrecon.solve.time.vehicle_filter import FilterModel
+from fgrecon.solve.time.vehicle_filter import FilterModel, VehicleFilter
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, velocity_covariances
 
 _MAPPING = "Give a mapping: an `fgrecon.Observation` by id. Images go to `fgrecon.video.ImageTracker`."
@@ -217,7 +219,10 @@ class Tracker:
                 refused[name] = error
                 continue
             before = self._tracks.get(name)
-            context = FrameContext(time, frame.world_T_camera, grounded)
+            either = None if before is None else before.recent_either_class(time)
+            if either is None:
+                either = self._either_class(vehicle, vehicles.classes[name], frame.ground)
+            context = FrameContext(time, frame.world_T_camera, grounded, either)
             contexts = (context,) if before is None else (*before.contexts, context)
             tracks[name] = VehicleTrack(vehicle, frame, contexts[-len(vehicle.past) :], vehicles.classes[name])
         found = {name: self._estimate(name, track) for name, track in tracks.items()} if estimated else {}
@@ -338,14 +343,30 @@ class Tracker:
         """Of the last frame."""
         vehicle = track.vehicle
         last = len(vehicle.solved.parts) - 1
-        return _estimates(name, {last: (vehicle.past[-1], track.contexts[-1])}, vehicle.solved, last + 1)[0]
+        frame = vehicle.past[-1], track.contexts[-1]
+        return _estimates(name, {last: frame}, vehicle.solved, last + 1, _van_odds(track))[0]
+
+    def _either_class(
+        self, vehicle: VehicleFilter, belief: ClassBelief | None, ground: Ground | None
+    ) -> EitherClass | None:
+        """What a van instead of a car changes in a vehicle's last frame, on the ground as it is given.
+
+        The ground that vehicles share follows what they are taken for.
+        """
+        frame, solved = vehicle.past[-1], vehicle.solved
+        alone = solved.adjusted.optimum if len(solved.parts) == 1 and frame.problem.ground is ground else None
+        classes: Mapping[str, float] | None = self._setup.classes_of([frame.problem.observation])
+        if classes is None and belief is not None:
+            classes = belief.probability
+        problem = frame.problem if frame.problem.ground is ground else frame.problem.on(ground)
+        return either_class(problem, frame.pose.matrix(), vehicle.shape[0], self._setup, classes, alone)
 
     def _smoothed(self, name: int, track: VehicleTrack, frames: Sequence[Frame]) -> list[VehicleEstimate]:
         contexts = {frame.number: context for frame, context in zip(track.vehicle.past, track.contexts, strict=True)}
         found = []
         for solved, some, given in smooth(frames, track.vehicle.shape, self._model.motion, self._model.extra):
             selected = {index: (some[index], contexts[some[index].number]) for index in given}
-            found += _estimates(name, selected, solved, len(frames))
+            found += _estimates(name, selected, solved, len(frames), _van_odds(track))
         return found
 
 
@@ -356,10 +377,14 @@ def _box_excess(track: VehicleTrack) -> float:
     return float(np.median(known)) if len(known) else float("nan")
 
 
+def _van_odds(track: VehicleTrack) -> float:
+    return mean_log_odds(context.either for context in track.contexts)
+
+
 def _estimates(
-    name: int, frames: Mapping[int, tuple[Frame, FrameContext]], solved: WindowSolve, total: int
+    name: int, frames: Mapping[int, tuple[Frame, FrameContext]], solved: WindowSolve, total: int, van_odds: float
 ) -> list[VehicleEstimate]:
-    """Of some frames that were solved together, by their places there."""
+    """Of some frames that were solved together, by their places there, with the log odds that it is a van."""
     single = len(solved.parts) == 1
     selected = [frame for frame, _ in frames.values()]
     facings = [frame.belief.facing(rotation_y(frame.pose.matrix())) for frame in selected]
@@ -382,8 +407,20 @@ def _estimates(
     ):
         # The world's velocity is not known where the camera has come to its place in an unknown way.
         moving = not single and solved.over_world[index] == (context.world_T_camera is not None)
-        found.append(_estimate(name, frame, context, result, facing, total, (spread,) if moving else None))
+        unsure = _on_known_ground(result, context.known)
+        if context.either is not None:
+            unsure = context.either.added_to(unsure, van_odds)
+        found.append(_estimate(name, frame, context, unsure, facing, total, (spread,) if moving else None))
     return found
+
+
+def _on_known_ground(result: Reconstruction, known: KnownGround | None) -> Reconstruction:
+    """A result that is no surer than the ground allows."""
+    covariance = result.uncertainty.pose_covariance
+    if known is None or covariance is None:
+        return result
+    covariance = known.considered(result.camera_T_object, covariance)
+    return replace(result, uncertainty=replace(result.uncertainty, pose_covariance=covariance))
 
 
 def _estimate(
@@ -397,10 +434,6 @@ def _estimate(
 ) -> VehicleEstimate:
     """Of one frame; `moving` is the velocity's covariance, which may be unknown, or None where it has no velocity."""
     place, pose = context.world_T_camera, frame.pose.matrix()
-    covariance = result.uncertainty.pose_covariance
-    if context.known is not None and covariance is not None:
-        covariance = context.known.considered(pose, covariance)
-        result = replace(result, uncertainty=replace(result.uncertainty, pose_covariance=covariance))
     velocity: Array | None = None
     turn_rate: float | None = None
     spread: Array | None = None

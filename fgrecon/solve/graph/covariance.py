@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -16,6 +16,8 @@ from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.graph import Graph
 from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
+
+_UP = 4  # of a pose's local coordinates: along the vehicle's own vertical axis
 
 _SMALL = 128
 """Numbers of variables up to which, without the kernels, all covariances at once are quicker than by GTSAM."""
@@ -30,6 +32,12 @@ class Covariances:
     coefficients: Array  # (N, N)
     keypoints: Array  # (K, 3, 3) of each 3D keypoint in the object frame, square metres
     size: Array  # (3, 3) of the box's length, width and height, square metres
+
+    def with_unseen_underside(self, sigma: float) -> Covariances:
+        """The same where measured points leave by so much (metres) how high the vehicle stands."""
+        pose = self.pose.copy()
+        pose[_UP, _UP] += sigma**2
+        return replace(self, pose=pose)
 
 
 @dataclass(frozen=True)

@@ -79,6 +79,9 @@ class PointSettings:
     """Of n points n / (1 + n / this) count: the surface's errors are alike in neighbouring places."""
     common_factor: float = 20.0
     """By how much less points say of covariances: with it regions of 68 and 95 % hold about as many cars."""
+    underside_sigma_m: float = 0.04
+    """How high a vehicle stands is unsure by so much, however many points there are: they do not show its underside,
+    and under it the road is off its plane. So much are labelled boxes of drive 0000 off the plane within 20 m."""
     box_sigma_share: float = 0.5
     """Of the standard deviation of a 2D box that encloses the projected 3D box, where there are points: it is for the
     errors of a shape at a distance that only the picture tells, and such boxes are half a pixel off."""

@@ -1,0 +1,99 @@
+"""A vehicle that may be a car or a van is as unsure as that; where it is does not change."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fgrecon
+from fgrecon import VehicleClass
+from fgrecon.calibration.regions import normalised_squared_error
+from fgrecon.core.geometry import position_covariance
+from fgrecon.core.size_prior import SIZE_PRIORS
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.either_class import mean_log_odds
+from tests.cars import CAMERA, observe, yaw_pose
+
+VAN = np.array([5.0, 1.9, 2.2])
+PLACES = np.array([[2.0, 1.65, 18.0], [-3.0, 1.65, 24.0]])
+OWN = replace(SIZE_PRIORS["kitti"], traffic=None)
+"""The cars of the fleet, and nothing else."""
+
+
+@pytest.fixture(scope="module")
+def vehicles():
+    """A car and a van."""
+    prior = load_prior("car14")
+    priors = prior.for_fleet(SIZE_PRIORS["kitti"]), prior.for_fleet(fgrecon.SizePrior("van", VAN, 0.05 * VAN))
+    return [observe(one, yaw_pose(2.0, place), noise=0.3, seed=3) for one, place in zip(priors, PLACES, strict=True)]
+
+
+def sigma(result):
+    """Of the position, metres."""
+    return float(np.sqrt(np.trace(result.uncertainty.pose_covariance[3:, 3:])))
+
+
+def inside(result, place):
+    covariance = position_covariance(result.camera_T_object, result.uncertainty.pose_covariance)
+    return normalised_squared_error(result.location - place, covariance) < 8.0
+
+
+def test_a_van_among_cars_is_in_its_region(vehicles):
+    for one, place in zip(vehicles, PLACES, strict=True):
+        found = fgrecon.reconstruct(one, CAMERA, size_prior="kitti", ground=1.65)
+        assert inside(found, place)
+        sizes = found.uncertainty.size_covariance
+        assert normalised_squared_error(found.shape.box_size - (VAN if place[2] > 20.0 else OWN.mean), sizes) < 8.0
+        for covariance in (found.uncertainty.coefficients_covariance, *found.uncertainty.keypoint_covariance):
+            assert np.linalg.eigvalsh(covariance)[0] > 0.0
+
+
+def test_the_result_stays_where_it_is(vehicles):
+    found, own = (fgrecon.reconstruct(vehicles[1], CAMERA, size_prior=one, ground=1.65) for one in ("kitti", OWN))
+    np.testing.assert_array_equal(found.camera_T_object, own.camera_T_object)
+    assert found.status is own.status
+    assert not inside(own, PLACES[1]), "whose fleet has cars alone is no van"
+    assert sigma(found) > 1.5 * sigma(own)
+
+
+def test_it_is_as_unsure_as_its_class(vehicles):
+    def as_said(**said):
+        one = vehicles[0].with_evidence([VehicleClass(said)])
+        return sigma(fgrecon.reconstruct(one, CAMERA, size_prior="kitti", ground=1.65))
+
+    assert as_said(car=0.9, van=0.1) > as_said(car=0.99, van=0.01) > as_said(car=1.0)
+    apollo = vehicles[0].with_evidence([VehicleClass({"car": 0.7, "van": 0.3})])
+    open_class = fgrecon.reconstruct(apollo, CAMERA, size_prior="apollo79", ground=1.65)
+    assert sigma(open_class) > sigma(fgrecon.reconstruct(vehicles[0], CAMERA, size_prior="apollo79", ground=1.65))
+
+
+def test_in_a_scene_and_a_track_too(vehicles):
+    scene = fgrecon.reconstruct_scene(vehicles, CAMERA, size_prior="kitti", ground=1.65)
+    assert inside(scene.vehicles[1], PLACES[1])
+    track = fgrecon.reconstruct_track([vehicles[1]] * 2, CAMERA, size_prior="kitti", ground=1.65)
+    assert all(inside(frame, PLACES[1]) for frame in track.frames)
+    told = [vehicles[1].with_evidence([VehicleClass("car")]), vehicles[1]]
+    as_car = fgrecon.reconstruct_track(told, CAMERA, size_prior="kitti", ground=1.65)
+    assert not any(inside(frame, PLACES[1]) for frame in as_car.frames), "what one image says holds for all"
+
+
+def test_many_frames_leave_the_class_as_open_as_one(vehicles):
+    tracker = fgrecon.Tracker(size_prior="kitti")
+    sigmas = []
+    for time in (0.0, 0.1, 0.2, 0.3):
+        estimate = tracker.update(time, {0: vehicles[1]}, camera=CAMERA, ground=1.65)[0]
+        assert inside(estimate.reconstruction, PLACES[1])
+        sigmas.append(sigma(estimate.reconstruction))
+    assert sigmas[-1] > 0.9 * sigmas[1]
+    assert all(inside(one.reconstruction, PLACES[1]) for one in tracker.smooth()[0])
+
+
+def test_a_class_that_the_first_frame_tells_stays(vehicles):
+    tracker = fgrecon.Tracker(size_prior="kitti")
+    for time, one in enumerate([vehicles[1].with_evidence([VehicleClass("car")]), vehicles[1]]):
+        estimate = tracker.update(0.1 * time, {0: one}, camera=CAMERA, ground=1.65)[0]
+        assert not inside(estimate.reconstruction, PLACES[1])
+
+
+def test_frames_that_say_nothing_leave_both_alike():
+    assert mean_log_odds([None]) == 0.0
