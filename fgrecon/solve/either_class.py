@@ -40,7 +40,8 @@ class EitherClass:
 
     log_odds: float  # of a van against a car
     turn: Array  # (3,) rotation of the van against the car, radians, in the vehicle's own frame
-    move: Array  # (3,) from the car's origin to the van's, metres, in the camera's frame
+    place: Array  # (3,) of the car's origin, metres, in the camera's frame
+    move: Array  # (3,) from there to the van's
     coefficients: Array  # (N,) from the shape of the car to that of the van
     keypoints: Array  # (K, 3) the same in metres, in the vehicle's own frame
     size: Array  # (3,) and of length, width and height
@@ -66,7 +67,7 @@ class EitherClass:
         along = float((result.shape.box_size - self.car_size) @ self.size) / way
         at = min(max(along, 0.0), 1.0)  # where the result is on the way from the car to the van
         spread = (1.0 - van) * at**2 + van * (1.0 - at) ** 2
-        pose = np.concatenate([self.turn, result.camera_T_object[:3, :3].T @ self.move])
+        pose = np.concatenate([self.turn, result.camera_T_object[:3, :3].T @ self._moved(result.location)])
         shifts = self.keypoints[:, :, None] * self.keypoints[:, None, :]
         uncertainty = replace(
             known,
@@ -77,6 +78,14 @@ class EitherClass:
             size_covariance=known.size_covariance + spread * np.outer(self.size, self.size),
         )
         return replace(result, uncertainty=uncertainty)
+
+    def _moved(self, location: Array) -> Array:
+        """(3,) the move of a vehicle that has come to a place (3,) since, metres: along the ray there, and in scale."""
+        before, now = float(np.linalg.norm(self.place)), float(np.linalg.norm(location))
+        along = float(self.move @ self.place) / before
+        across = self.move - along * self.place / before
+        moved: Array = now / before * (along * location / now + across)
+        return moved
 
 
 def either_class(
@@ -193,6 +202,7 @@ def _between(car: _Solved, van: _Solved, log_odds: float, problem: Problem) -> E
     return EitherClass(
         log_odds,
         np.zeros(3) if turned else gtsam.Rot3.Logmap(rotation),
+        car.pose.translation(),
         van.pose.translation() - car.pose.translation(),
         of_van - of_car,
         van.keypoints - car.keypoints,

@@ -11,7 +11,9 @@ from fgrecon.calibration.regions import normalised_squared_error
 from fgrecon.core.geometry import position_covariance
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.either_class import mean_log_odds
+from fgrecon.solve.either_class import either_class, mean_log_odds
+from fgrecon.solve.inputs import SolveSetup
+from fgrecon.solve.proposals.problem import Problem
 from tests.cars import CAMERA, observe, yaw_pose
 
 VAN = np.array([5.0, 1.9, 2.2])
@@ -86,6 +88,17 @@ def test_many_frames_leave_the_class_as_open_as_one(vehicles):
         sigmas.append(sigma(estimate.reconstruction))
     assert sigmas[-1] > 0.9 * sigmas[1]
     assert all(inside(one.reconstruction, PLACES[1]) for one in tracker.smooth()[0])
+
+
+def test_what_an_earlier_frame_says_is_along_the_ray_of_the_later_one(vehicles):
+    setup = SolveSetup.of("car14", "kitti", None, 1.65)
+    before, after = (fgrecon.reconstruct(one, CAMERA, size_prior=OWN, ground=1.65) for one in reversed(vehicles))
+    problem = Problem.of(vehicles[1], CAMERA, setup.model, setup.ground, setup.options)
+    either = either_class(problem, before.camera_T_object, before.shape.coefficients, setup, None)
+    added = either.added_to(after, 0.0).uncertainty.pose_covariance - after.uncertainty.pose_covariance
+    across = after.camera_T_object[:3, :3] @ np.linalg.eigh(added[3:, 3:])[1][:, -1]
+    assert abs(across @ after.location) > 0.99 * np.linalg.norm(after.location)
+    assert not abs(across @ before.location) > 0.99 * np.linalg.norm(before.location)
 
 
 def test_a_class_that_the_first_frame_tells_stays(vehicles):
