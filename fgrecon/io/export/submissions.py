@@ -24,8 +24,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, image_box, info_of, quaternion, score, track_of
 from fgrecon.io.export.label_files import one_image
-from fgrecon.io.export.protocol_buffer import field
 from fgrecon.io.export.results import NamedResult
+from fgrecon.io.export.waymo_messages import objects_class
 
 _ON_VEHICLE = "sample_token", "sequence", "world_T_camera", "world_T_vehicle"
 _VEHICLE = 1  # Waymo's `TYPE_VEHICLE`
@@ -128,16 +128,20 @@ def waymo_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo])
     Raises:
         InvalidInputError: One is missing for an image; names it.
     """
-    content = b""
+    found = objects_class()()
     for one in _boxes(results, images, *_ON_VEHICLE):
-        x, y, z, length, width, height = one.numbers
+        names = "center_x", "center_y", "center_z", "length", "width", "height", "heading"
         heading = float(np.arctan2(one.axes[1, 0], one.axes[0, 0]))
-        box = b"".join(field(n, v) for n, v in enumerate((x, y, z, width, length, height, heading), start=1))
-        label = field(1, box) + field(3, _VEHICLE) + field(4, track_of(one.item))
-        about = field(4, one.info.sequence or "") + field(5, int(one.token))
-        content += field(1, field(1, label) + field(2, np.float32(score(one.item))) + about)
-    if not content:
+        box = dict(zip(names, (*one.numbers, heading), strict=True))
+        found.objects.add(
+            object={"box": box, "type": _VEHICLE, "id": track_of(one.item)},
+            score=score(one.item),
+            context_name=one.info.sequence,
+            frame_timestamp_micros=int(one.token),
+        )
+    if not found.objects:
         raise InvalidInputError("results", "no vehicle of a frame", "Give results of images that show frames.")
+    content: bytes = found.SerializeToString(deterministic=True)
     return content
 
 
