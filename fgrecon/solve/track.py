@@ -22,6 +22,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from fgrecon.core.camera import Camera, Ground
@@ -49,6 +50,7 @@ from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.result import results
 from fgrecon.solve.road_plane import ground_by_points
+from fgrecon.solve.solve_settings import FITTED_CLASS
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import VehicleModel
 
@@ -129,16 +131,23 @@ def reconstruct_track(
 def _with_either_class(
     frames: Sequence[Reconstruction], parts: Sequence[GraphObservation], setup: SolveSetup
 ) -> list[Reconstruction]:
-    """The results with covariances for both classes, where that of the vehicle is open."""
+    """The results with covariances for both classes, where that of the vehicle is open.
+
+    Images of one vehicle say much the same of it: some of the track are solved, each takes what the nearest says.
+    """
     classes = setup.classes_of([part.problem.observation for part in parts])
-    either = [
-        None
-        if one.uncertainty.pose_covariance is None
-        else either_class(part.problem, one.camera_T_object, one.shape.coefficients, setup, classes)
-        for part, one in zip(parts, frames, strict=True)
+    known = [i for i, one in enumerate(frames) if one.uncertainty.pose_covariance is not None]
+    places = np.linspace(0, len(known) - 1, min(len(known), FITTED_CLASS.solved_images)).round().astype(int)
+    images = np.array(known, dtype=int)[places]
+    solved = [
+        either_class(parts[i].problem, frames[i].camera_T_object, frames[i].shape.coefficients, setup, classes)
+        for i in images
     ]
-    odds = mean_log_odds(either)
-    return [one if e is None else e.added_to(one, odds) for e, one in zip(either, frames, strict=True)]
+    odds, found = mean_log_odds(solved), list(frames)
+    for i in known:
+        nearest = solved[int(np.abs(images - i).argmin())]
+        found[i] = frames[i] if nearest is None else nearest.added_to(frames[i], odds)
+    return found
 
 
 def _with_evidence(
