@@ -143,16 +143,11 @@ def _model(
 
 
 def _outline(prior: ShapePrior) -> LinearPoints:
-    """The surface vertices that are farthest in some direction: those that a tight box can touch.
-
-    Each direction is there with its mirror image, so that the mirrored image of a vehicle has its mirrored pose.
-    """
+    """The surface vertices that are farthest in some direction: those that a tight box can touch."""
     assert prior.surface is not None
     index = np.arange(_OUTLINE_DIRECTIONS) + 0.5  # Fibonacci sphere: even and deterministic
     height, angle = 1.0 - 2.0 * index / _OUTLINE_DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * index
     radius = np.sqrt(1.0 - height**2)
     directions = np.stack([radius * np.cos(angle), height, radius * np.sin(angle)])
-    left = directions[:, directions[2] > 0.0]
-    mirrored = left * [[1.0], [1.0], [-1.0]]
-    chosen = np.unique((prior.surface.mean @ np.hstack([left, mirrored])).argmax(axis=0))
+    chosen = np.unique((prior.surface.mean @ directions).argmax(axis=0))
     return LinearPoints(prior.surface.mean[chosen], prior.surface.basis[:, chosen])
