@@ -9,6 +9,13 @@ cdef struct View:  # of a vehicle from a sensor, in the object frame
     double scaled[3]  # the sensor there
 
 
+cdef enum Form:  # as `factors.mixture.Form`
+    WEIGHTED = 0
+    LOSS = 1
+    NEWTON = 2
+    MAJORISED = 3
+
+
 cdef void mixed(
     int form, double right, double wrong, double weight, double square, double *stretch, double *bend, double *loss
 ) noexcept nogil

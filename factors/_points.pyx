@@ -55,12 +55,6 @@ cdef enum Shared:  # as `factors.surface_points.Shared`
     DEPTH = 1
     INVERSE = 2
 
-cdef enum Form:  # as `factors.mixture.Form`
-    WEIGHTED = 0
-    LOSS = 1
-    NEWTON = 2
-    MAJORISED = 3
-
 
 cdef void mixed(
     int form, double right, double wrong, double weight, double square, double *stretch, double *bend, double *loss

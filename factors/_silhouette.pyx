@@ -7,7 +7,7 @@ from libc.stdlib cimport free, malloc
 
 import numpy as np
 
-from factors._points cimport Term, mixed
+from factors._points cimport LOSS, NEWTON, WEIGHTED, Term, mixed
 from factors._rows cimport Source
 from factors.projection import LEAST_DEPTH
 
@@ -294,7 +294,7 @@ cdef class SilhouetteSource(Source):
     def __init__(self, Silhouette silhouette, double share):
         """Bind the silhouette."""
         cdef int M = silhouette.directions, N = silhouette.coefficients
-        self.silhouette, self.share, self.common, self.form, self.rows = silhouette, share, 1.0, 2, 2 * M
+        self.silhouette, self.share, self.common, self.form, self.rows = silhouette, share, 1.0, NEWTON, 2 * M
         self.judged, self.matched_once = 2 * M, False
         self.vertices, self.says, self.weights = np.zeros(M, dtype=np.intc), np.zeros(2 * M), np.zeros(2 * M)
         self.pixels = np.empty(3 * silhouette.vertices)
@@ -336,7 +336,7 @@ cdef class SilhouetteSource(Source):
     cdef double fill(self, const double **at, double *r, double *J) noexcept nogil:
         cdef const double *R = at[0]
         cdef int m, i, k, M = self.silhouette.directions
-        cdef int form = self.form if J != NULL or self.form == 0 else 1
+        cdef int form = self.form if J != NULL or self.form == WEIGHTED else LOSS
         cdef double loss, stretch, bend, right, energy = 0.0, share, root
         cdef double off[2]
         cdef double slope[4]
@@ -361,4 +361,4 @@ cdef class SilhouetteSource(Source):
                     self.silhouette.row(
                         self.vertices[m], &place, R, slope + 2 * i, root * bend, False, J + k * self.columns
                     )
-        return NAN if self.form == 0 else share * energy
+        return NAN if self.form == WEIGHTED else share * energy

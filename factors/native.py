@@ -11,7 +11,7 @@ import os
 import zlib
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from factors.errors import InvalidInputError
 
@@ -22,6 +22,22 @@ _VARIABLE = "FGRECON_KERNEL"
 _STALE = "compiled from sources of another version"
 _AGAIN = f"Install fgrecon again, which compiles it anew (`pip install -e .`), or set {_VARIABLE}=numpy."
 _FOUND: dict[str, ModuleType | None] = {}
+
+
+class KernelRows:
+    """Rows whose arrays a kernel takes once: `compiled` of a class holds them, and copies of rows are without it."""
+
+    KERNEL: ClassVar[str]
+    """Name of the kernel's module."""
+
+    @property
+    def kernel(self) -> Any:
+        """The module of the compiled rows, or None."""
+        return native(self.KERNEL)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What they are made of; another process compiles them again."""
+        return {name: value for name, value in vars(self).items() if name != "compiled"}
 
 
 def native(name: str) -> ModuleType | None:

@@ -24,7 +24,7 @@ from factors.arrays import Array
 from factors.distance_field import DistanceField
 from factors.guard import Evaluation
 from factors.mixture import mixture
-from factors.native import native
+from factors.native import KernelRows
 from factors.projection import LEAST_DEPTH, by_pose, pixel_jacobian, project
 from factors.sensed import SensedFactor
 
@@ -41,8 +41,10 @@ class SilhouetteOdds:
 
 
 @dataclass(frozen=True, eq=False)
-class SilhouetteRows:
+class SilhouetteRows(KernelRows):
     """A mask, and the surface whose outline it has."""
+
+    KERNEL = "factors._silhouette"
 
     field: DistanceField  # distance from the mask's outline
     hides: DistanceField | None  # the same of what hides the vehicle, or None
@@ -68,15 +70,6 @@ class SilhouetteRows:
         says[first], says[count:] = self._says(pixels[farthest])[first], self._mask_says
         says[np.tile(depths[farthest] <= LEAST_DEPTH, 2)] = 0.0
         return farthest, says
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What it is made of; another process compiles it again."""
-        return {name: value for name, value in vars(self).items() if name != "compiled"}
-
-    @property
-    def kernel(self) -> Any:
-        """The module of the compiled rows, or None."""
-        return native("factors._silhouette")
 
     @cached_property
     def compiled(self) -> Any:

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from factors.arrays import Array
 from factors.guard import Evaluation
 from factors.mixture import mixture
-from factors.native import native
+from factors.native import KernelRows
 from factors.sensed import SensedFactor
 from factors.surface_patches import SPACING, SurfacePatches
 
@@ -101,8 +101,10 @@ class Match:
 
 
 @dataclass(frozen=True, eq=False)
-class PointRows:
+class PointRows(KernelRows):
     """Points, and the surface that they may be on."""
+
+    KERNEL = "factors._points"
 
     points: Array  # (M, 3) camera frame, metres
     sigma: Array  # (M,) standard deviation of their distance from the surface, metres
@@ -192,15 +194,6 @@ class PointRows:
             step = np.where(facing & (slope < -LEAST_COSINE), -off / np.minimum(slope, -LEAST_COSINE), 0.0)
             at = at + np.clip(step, -LONGEST_STEP, LONGEST_STEP)
         return np.asarray(sensor + at[:, None] * unit)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What it is made of; another process compiles it again."""
-        return {name: value for name, value in vars(self).items() if name != "compiled"}
-
-    @property
-    def kernel(self) -> Any:
-        """The module of the compiled rows, or None."""
-        return native("factors._points")
 
     @cached_property
     def compiled(self) -> Any:

@@ -22,7 +22,6 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.robust import StrategyName
-from fgrecon.core.size_prior import CLASSES
 from fgrecon.solve.fitted_class import FittedClass, is_open, log_odds_of_van, odds_before_image
 from fgrecon.solve.graph.graph import EXTRA, Graph, GraphObservation, State
 from fgrecon.solve.graph.mode_selection import is_flipped
@@ -177,7 +176,7 @@ def _solved_as(
     name: str, problem: Problem, camera_T_object: Array, coefficients: Array, setup: SolveSetup
 ) -> _Solved | None:
     """A vehicle as one of a class, from a pose and shape of another size; None where it has no pose."""
-    model = setup.model_for({one: float(one == name) for one in CLASSES})
+    model = setup.model_as(name)
     height = problem.model.prior.box_size(coefficients)[2]
     start = camera_T_object.copy()
     start[:3, 3] *= model.dimension_mean[2] / max(height, 1e-3)  # where it looks as high

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
-from fgrecon.core.size_prior import CLASSES
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import shipped_class_sizes
 from fgrecon.solve.graph.graph import GraphObservation
@@ -111,7 +110,7 @@ def log_odds_of_van(odds: float, car: float, van: float) -> float:
 
 def _energy(observation: Observation, camera: Camera, setup: SolveSetup, name: str) -> float | None:
     """The least energy, nats, of a vehicle that is of a class; None where it has no pose."""
-    model = setup.model_for({one: float(one == name) for one in CLASSES})
+    model = setup.model_as(name)
     try:
         problem, start = single_pose(observation, camera, model, setup)
     except FgreconError:

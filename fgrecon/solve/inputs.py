@@ -117,6 +117,10 @@ class SolveSetup:
         found = [sizes.probabilities(one.probabilities, one.scheme.value) for one in given]
         return {name: float(np.mean([one[name] for one in found])) for name in CLASSES}
 
+    def model_as(self, name: str) -> VehicleModel:
+        """The prior prepared for a vehicle that is of a class for sure."""
+        return self.model_for({one: float(one == name) for one in CLASSES})
+
     def model_for(self, classes: Mapping[str, float]) -> VehicleModel:
         """The prior prepared for a vehicle that is of each class with a probability."""
         share = tuple((name, round(value, 2)) for name, value in classes.items())

@@ -155,6 +155,11 @@ LEFT_OUT = "left out, since a newer one had come or was due"
 """What the problem of a frame ends with that was left out."""
 
 
+def is_left_out(problem: str | None) -> bool:
+    """Whether that is the problem of a frame, as records keep it."""
+    return problem is not None and problem.endswith(LEFT_OUT)
+
+
 class LiveFrames:
     """Frames of a file as if a camera took them: each comes when it is due by its time, and the newest is taken.
 

@@ -37,7 +37,7 @@ from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector
 from fgrecon.video.frame_store import FrameStore
 from fgrecon.video.motion_estimator import MotionEstimator
-from fgrecon.video.newest import LEFT_OUT, LiveFrames
+from fgrecon.video.newest import LiveFrames, is_left_out
 from fgrecon.video.records import (
     FORMAT,
     FrameRecord,
@@ -87,12 +87,12 @@ class VideoRun:
     def gaps(self) -> dict[str, str]:
         """Why frames could not be read, by their names."""
         problems = {head.name: head.problem for head in self.frames.heads if head.problem is not None}
-        return {name: problem for name, problem in problems.items() if not problem.endswith(LEFT_OUT)}
+        return {name: problem for name, problem in problems.items() if not is_left_out(problem)}
 
     @property
     def left_out(self) -> int:
         """How many frames were left out because a newer one had come."""
-        return sum(head.problem is not None and head.problem.endswith(LEFT_OUT) for head in self.frames.heads)
+        return sum(is_left_out(head.problem) for head in self.frames.heads)
 
     @property
     def delay_quantiles(self) -> tuple[float, float, float] | None:

@@ -148,8 +148,9 @@ def with_submitted(path: Path, drive: DataSequence) -> DataSequence:
     Raises:
         InvalidInputError: It cannot be read, is none, a box is malformed, or it has none of the scene's samples.
     """
-    found: dict[str, list[WorldBox]] = {token: [] for token in _results(path)[1] if token in drive.moments}
-    for token, box in _of_json(path, drive)[0]:
+    _, results = _results(path)
+    found: dict[str, list[WorldBox]] = {token: [] for token in results if token in drive.moments}
+    for token, box in _boxes_of(path, results, drive):
         name = f"{token}/{len(found[token])}"
         found[token].append(WorldBox(name, box.kind, box.world_T_object, box.size, box.track, score=box.score))
     if not found:
@@ -215,21 +216,23 @@ def _of_json(path: Path, drive: DataSequence | None) -> _Read:
             number += len(entries)
         return f"{json.dumps({**data, 'results': after})}\n".encode()
 
-    def boxes() -> _Boxes:
-        number = -1
-        for token, entries in results.items():
-            of_zod = drive is not None and f"frames/{token}" in drive.moments
-            name, world_T_frame = f"frames/{token}" if of_zod else token, np.eye(4)
-            if drive is not None and of_zod:
-                world_T_frame = drive.moments[name].world_T_vehicle
-            for index, entry in enumerate(entries):
-                number += 1
-                if drive is None or name in drive.moments:
-                    fields = Fields(entry, f"{path}: results.{token}[{index}].")
-                    found = _of_entry(fields, number, {"sample_token": token, "index": index}, world_T_frame)
-                    yield name, found if drive is None else replace(found, kind=drive.cars.get(found.kind, found.kind))
+    return _boxes_of(path, results, drive), content
 
-    return boxes(), content
+
+def _boxes_of(path: Path, results: Mapping[str, list[Any]], drive: DataSequence | None) -> _Boxes:
+    """The boxes of entries by sample or frame: those of a drive, or all."""
+    number = -1
+    for token, entries in results.items():
+        of_zod = drive is not None and f"frames/{token}" in drive.moments
+        name, world_T_frame = f"frames/{token}" if of_zod else token, np.eye(4)
+        if drive is not None and of_zod:
+            world_T_frame = drive.moments[name].world_T_vehicle
+        for index, entry in enumerate(entries):
+            number += 1
+            if drive is None or name in drive.moments:
+                fields = Fields(entry, f"{path}: results.{token}[{index}].")
+                found = _of_entry(fields, number, {"sample_token": token, "index": index}, world_T_frame)
+                yield name, found if drive is None else replace(found, kind=drive.cars.get(found.kind, found.kind))
 
 
 def _of_entry(fields: Fields, number: int, place: Mapping[str, str | int], world_T_frame: Array) -> DetectedBox:

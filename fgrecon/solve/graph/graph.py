@@ -250,8 +250,10 @@ class Graph:
         ]
         for one, judged in zip(self.sensed, found[len(looks) :], strict=False):
             one.judged(judged)
-        for one in self.sensed[self._judging :]:
-            one.look(self._system.values(point), hold=hold)
+        if others := self.sensed[self._judging :]:
+            values = self._system.values(point)
+            for one in others:
+                one.look(values, hold=hold)
         self._applied = weights, form
         return weights
 
