@@ -583,6 +583,28 @@ cdef class Rows:
         self.spare, self.where = np.empty(2 * (width + 1)), np.empty(width + 1, dtype=np.intc)
         self.outline()
 
+    def with_source(self, Source source not None):
+        """The same rows with another source in the place of the first one, of the same variables.
+
+        Raises:
+            ValueError: It has other rows or takes other variables.
+        """
+        cdef Rows other = Rows.__new__(Rows)
+        cdef _Place first = self.places[0], place = _Place()
+        if source.takes != first.source.takes or source.rows != first.source.rows:
+            raise ValueError("a source of the same rows and variables is expected")
+        place.source, place.count, place.graphs, place.first = source, first.count, first.graphs, first.first
+        memcpy(place.slots, first.slots, sizeof(place.slots))
+        place.whitener, place.whitened, place.robust = first.whitener, first.whitened, first.robust
+        other.size, other.numbers, other.places = self.size, self.numbers, [place, *self.places[1:]]
+        other.starts, other.begins, other.columns, other.sorted = self.starts, self.begins, self.columns, self.sorted
+        other.heads, other.lines, other.state = self.heads, self.lines, np.array(self.state)
+        other.r, other.J = np.empty(self.r.shape[0]), np.empty(self.J.shape[0])
+        other.spare, other.where = np.empty(self.spare.shape[0]), np.empty(self.where.shape[0], dtype=np.intc)
+        other.form, other.root = np.empty(self.form.shape[0]), np.empty(self.form.shape[0])
+        other.inverses = np.empty(self.size + 1)
+        return other
+
     cdef int outline(self) except -1:
         """Find which numbers of the quadratic form may be filled, and the order of each source's columns."""
         cdef _Place place

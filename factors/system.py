@@ -12,6 +12,7 @@ A system has points: where it is evaluated. Those of a compiled one are arrays, 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate, pairwise
@@ -95,7 +96,20 @@ class CompiledSystem(_System):
         self._bound = _Bound(members, self.places)
         self._rows = self._bound.rows
         self._held = members  # so that no other factor has the identity of one of them
-        self._place = {id(member.factor): place for place, member in enumerate(members)}
+
+    @property
+    def variables(self) -> tuple[Any, ...]:
+        """What the rows of its first factor take (`CompiledRows.variables`)."""
+        rows = self._held[0].rows
+        assert rows is not None
+        return rows.variables
+
+    def with_rows(self, rows: CompiledRows) -> CompiledSystem:
+        """The same with other rows of the same `variables` in the place of its first factor."""
+        other, first, bound = copy(self), self._held[0], self._bound.of(self._rows.with_source(rows.source))
+        held = [_Member(rows, rows, first.graphs), *self._held[1:]]
+        vars(other).update(_rows=bound.rows, _bound=bound, _held=held)
+        return other
 
     def point(self, values: gtsam.Values) -> Array:
         """The point at values."""
@@ -151,7 +165,8 @@ class CompiledSystem(_System):
 
     def error_of(self, factors: Iterable[Any], point: Point) -> float:
         """Energy of some of its factors at a point, nats."""
-        return float(self._rows.error_of(point, [self._place[id(factor)] for factor in factors]))
+        place = {id(member.factor): place for place, member in enumerate(self._held)}
+        return float(self._rows.error_of(point, [place[id(factor)] for factor in factors]))
 
     def judge(self, point: Array, looks: Sequence[bool]) -> list[Array]:
         """What factors that judge (`Source.judge`) find out of a point, in their order; with a look all of it anew."""
@@ -260,6 +275,12 @@ class _Bound:
             places.append((rows.source, graphs, bound, rows.whitener, rows.robust))
         self._readers = [(_READERS.get(kind, _vector), key) for key, kind in self._kinds.items()]
         self.rows = kernel.Rows([*self._kinds.values()], places)
+
+    def of(self, rows: Any) -> _Bound:
+        """The same variables with rows that take the same."""
+        other = copy(self)
+        other.rows = rows
+        return other
 
     def point(self, values: gtsam.Values) -> Array:
         """The variables as the rows take them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Self, TypeVar, overload
 
 import numpy as np
@@ -46,10 +47,28 @@ class LazyFields:
         """What makes the fields that are not made yet, by name."""
         return {name: make for name, make in self.__dict__.get("_later", {}).items() if name not in self.__dict__}
 
+    def maker(self, name: str) -> Callable[[], Any]:
+        """What makes a field, or hands it out where it is made."""
+        later = self.not_made.get(name)
+        return partial(_given, getattr(self, name)) if later is None else later
+
+    def but_later(self, **later: Callable[[], Any]) -> Self:
+        """The same with some fields that are made on first use, in the place of its own."""
+        one = object.__new__(type(self))
+        one.__dict__.update(self.__dict__)
+        for name in later:
+            one.__dict__.pop(name, None)
+        one.__dict__["_later"] = {**self.__dict__.get("_later", {}), **later}
+        return one
+
     def __getstate__(self) -> dict[str, Any]:
         """All fields: a copy and a pickle need nothing of what they are made from."""
         made = {name: getattr(self, name) for name in self.__dict__.get("_later", ())}
         return {**self.__dict__, **made, "_later": {}}
+
+
+def _given(value: Any) -> Any:
+    return value
 
 
 T = TypeVar("T")

@@ -30,7 +30,6 @@ from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.inputs import SolveSetup, has_points
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import SCENE
-from fgrecon.solve.vehicle.conditioning import express
 
 
 @dataclass(frozen=True)
@@ -181,8 +180,8 @@ def _solved_as(
     start = camera_T_object.copy()
     start[:3, 3] *= model.dimension_mean[2] / max(height, 1e-3)  # where it looks as high
     try:
-        made = Problem.of(problem.observation, problem.camera, model, problem.ground, problem.options)
-        count = len(made.observation.keypoints)
+        made = problem.as_vehicle(model)
+        count = model.prior.category.size
         weights = Weights(np.ones(count), np.ones(count), np.ones(4), float(start[2, 3]))
         shape = coefficients, np.zeros((count, 3))
         state = State([gtsam.Pose3(start)], {0: shape}, [weights])
@@ -195,16 +194,15 @@ def _solved_as(
 
 def _between(car: _Solved, van: _Solved, log_odds: float, problem: Problem) -> EitherClass:
     """What lies between both."""
-    rotation = car.pose.rotation().between(van.pose.rotation())
+    rotation, apart = car.pose.rotation().between(van.pose.rotation()), van.keypoints - car.keypoints
     turned = is_flipped(car.pose.matrix(), van.pose.matrix())  # which the facing says
-    (of_car, of_van), _ = express(problem.model.prior, np.array([car.keypoints, van.keypoints]))
     return EitherClass(
         log_odds,
         np.zeros(3) if turned else gtsam.Rot3.Logmap(rotation),
         car.pose.translation(),
         van.pose.translation() - car.pose.translation(),
-        of_van - of_car,
-        van.keypoints - car.keypoints,
+        problem.model.by_keypoints @ apart.ravel(),
+        apart,
         van.size - car.size,
         car.size,
     )

@@ -6,8 +6,9 @@ well as it says, and without them poses were no better (docs/history/size.md).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,53 +23,54 @@ _UNHIDDEN = probability(np.zeros(1))  # of what nothing hides, which stays as vi
 
 
 def with_occlusion(results: Sequence[Reconstruction]) -> tuple[Reconstruction, ...]:
-    """The vehicles of one image, whose keypoints are as visible as the nearer of them leave them."""
-    if len(results) < 2:
-        return tuple(results)
-    points = [transform(one.camera_T_object, one.wireframe) for one in results]
-    pixels = [_projected(one) for one in points]
-    visibilities = [one.diagnostics.visibility for one in results]
-    for there, other in enumerate(results):
-        front = _placed(other)
-        if front is None or other.shape.surface_faces is None:
-            continue
-        vertices, (low, high) = front
-        covered: dict[int, NDArray[np.intp]] = {}  # keypoints of further vehicles inside the rectangle around it
-        for here, one in enumerate(results):
-            at = pixels[here]
-            if here != there and at is not None and other.location[2] < one.location[2]:
-                inside = np.flatnonzero(((at >= low) & (at <= high)).all(axis=1))
-                covered |= {here: inside} if len(inside) else {}
-        if not covered:
-            continue
-        rays = np.concatenate([points[here][inside] for here, inside in covered.items()])
-        left = probability(clearance(vertices, other.shape.surface_faces, rays, np.zeros(3))) / _UNHIDDEN
-        ends = np.cumsum([len(inside) for inside in covered.values()])[:-1]
-        for (here, inside), share in zip(covered.items(), np.split(left, ends), strict=True):
-            visibilities[here] = visibilities[here].copy()
-            visibilities[here][inside] *= share
-    return tuple(
-        one if now is one.diagnostics.visibility else replace(one, diagnostics=replace(one.diagnostics, visibility=now))
-        for one, now in zip(results, visibilities, strict=True)
-    )
+    """The vehicles of one image, whose keypoints are as visible as the nearer of them leave them, when asked."""
+    solids = [_Solid.of(one) for one in results]
+    found = []
+    for one in results:
+        nearer = [solids[n] for n, other in enumerate(results) if other.location[2] < one.location[2]]
+        if nearer:
+            visibility = partial(_left, one.diagnostics.maker("visibility"), one.camera_T_object, one.wireframe, nearer)
+            one = replace(one, diagnostics=one.diagnostics.but_later(visibility=visibility))
+        found.append(one)
+    return tuple(found)
 
 
-def _placed(result: Reconstruction) -> tuple[Array, tuple[Array, Array]] | None:
-    """(V, 3) surface in the camera's frame, and the corners (2,) of the rectangle around its image.
+@dataclass(frozen=True)
+class _Solid:
+    """What hides others."""
 
-    None where there is none, or it is not wholly in front of the camera.
-    """
-    if result.shape.surface_vertices is None or not np.isfinite(result.camera_T_object).all():
-        return None
-    vertices = transform(result.camera_T_object, result.shape.surface_vertices)
-    if not vertices[:, 2].min() > MIN_DEPTH:
-        return None
-    around = vertices[:, :2] / vertices[:, 2:]
-    return vertices, (around.min(axis=0), around.max(axis=0))
+    camera_T_object: Array  # (4, 4)
+    vertices: Callable[[], Array | None]  # make (V, 3) in the object frame
+    faces: Callable[[], NDArray[np.int64] | None]  # make (F, 3)
+
+    @classmethod
+    def of(cls, result: Reconstruction) -> _Solid:
+        """A vehicle."""
+        shape = result.shape
+        return cls(result.camera_T_object, shape.maker("surface_vertices"), shape.maker("surface_faces"))
+
+    def placed(self) -> Array | None:
+        """(V, 3) surface in the camera's frame; None where there is none, or it is not wholly before the camera."""
+        vertices = self.vertices()
+        if vertices is None or not np.isfinite(self.camera_T_object).all():
+            return None
+        there = transform(self.camera_T_object, vertices)
+        return there if there[:, 2].min() > MIN_DEPTH else None
 
 
-def _projected(points: Array) -> Array | None:
-    """(K, 2) where points (K, 3) are seen at a focal length of 1; None where they are not all before the camera."""
+def _left(own: Callable[[], Array], camera_T_object: Array, wireframe: Array, nearer: Sequence[_Solid]) -> Array:
+    """(K,) visibility of keypoints (K, 3) of a vehicle, which by itself has its `own`, behind nearer ones."""
+    visibility, points = own(), transform(camera_T_object, wireframe)
     if not (np.isfinite(points).all() and points[:, 2].min() > 0.0):
-        return None
-    return points[:, :2] / points[:, 2:]
+        return visibility
+    at = points[:, :2] / points[:, 2:]
+    for one in nearer:
+        vertices, faces = one.placed(), one.faces()
+        if vertices is None or faces is None:
+            continue
+        around = vertices[:, :2] / vertices[:, 2:]
+        inside = np.flatnonzero(((at >= around.min(axis=0)) & (at <= around.max(axis=0))).all(axis=1))
+        if len(inside):
+            visibility = visibility.copy()
+            visibility[inside] *= probability(clearance(vertices, faces, points[inside], np.zeros(3))) / _UNHIDDEN
+    return visibility

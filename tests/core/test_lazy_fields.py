@@ -44,6 +44,16 @@ def test_copies_and_pickles_have_all_fields():
     assert made == ["a", "c"]
 
 
+def test_a_field_can_be_made_later_in_the_place_of_its_own():
+    made.clear()
+    thing = Thing.with_later({"later": partial(make, "a")}, known=1)
+    again = thing.but_later(later=partial(lambda own: own() + "d", thing.maker("later")))
+    assert made == []
+    assert (again.later, thing.later, made) == ("ad", "a", ["a", "a"])
+    assert (thing.maker("later")(), again.maker("known")(), made) == ("a", 1, ["a", "a"])
+    assert Thing(2, "b").but_later(later=partial(make, "c")) == Thing(2, "c")
+
+
 def test_other_names_are_errors():
     with pytest.raises(AttributeError, match="'Thing' object has no attribute 'lter'"):
         Thing(1, "a").lter  # noqa: B018  # its error is wanted

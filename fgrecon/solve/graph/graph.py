@@ -12,12 +12,13 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import gtsam
 import numpy as np
 
 from factors import check_in_front
-from factors.guard import CompiledFactor
+from factors.guard import CompiledFactor, CompiledRows
 from factors.keys import F, S, decode_key, key_name
 from factors.mixture import Form
 from factors.sensed import SensedFactor
@@ -276,8 +277,23 @@ class Graph:
         if self._system is None:
             observed = [part.compiled or part.factor for part in self.observations if part.keys]
             both = [*observed, *self._sensed_factors, *self.extra]
-            self._system = system_of([*both, *self._own], values, [*both, *self._counted_once])
+            if (rows := self._alone(both)) is None:
+                self._system = system_of([*both, *self._own], values, [*both, *self._counted_once])
+                return self._system
+            vehicle = self.observations[0].vehicle
+            if vehicle.alone is not None and vehicle.alone.variables == rows.variables:
+                self._system = vehicle.alone.with_rows(rows)
+            else:
+                self._system = system_of([rows, *self._own], values, [rows, *self._counted_once])
+                vehicle.alone = self._system if isinstance(self._system, CompiledSystem) else None
         return self._system
+
+    def _alone(self, factors: Sequence[Any]) -> CompiledRows | None:
+        """The rows of a vehicle in one image with nothing beside, of which no variable is a constant; else None."""
+        rows = self.observations[0].compiled
+        if rows is None or len(factors) > 1 or self.shared.known:
+            return None
+        return rows if all(one is None or isinstance(one, int) for one in rows.variables) else None
 
     @cached_property
     def _judges(self) -> bool:

@@ -131,16 +131,17 @@ def _run(
 ) -> MultiStartResult:
     """All stages from one state."""
     stages: list[SolvedStage] = []
-    iterations, gain, state = 0, 0.0, start
+    iterations, state = 0, start
+    gains: tuple[Callable[[], float], ...] = ()
     for name in _stage_names(observations[0].problem.options):
         graph = Graph(observations, state, pose_free=name == "joint", extra=extra)
         optimum = optimise(graph, state, steady=steady)
         stages.append(SolvedStage(name, graph, optimum.steps))
-        iterations, gain, state = iterations + optimum.iterations, gain + optimum.gain, optimum.state
+        iterations, gains, state = iterations + optimum.iterations, gains + optimum.gains, optimum.state
         if optimum.failure is not None:
             break
     return MultiStartResult(
-        replace(optimum, iterations=iterations, gain=gain), tuple(stages), ((),) * len(observations)
+        replace(optimum, iterations=iterations, gains=gains), tuple(stages), ((),) * len(observations)
     )
 
 

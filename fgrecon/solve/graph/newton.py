@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import gtsam
 import numpy as np
@@ -60,7 +60,6 @@ class Descent:
         weights: Weights and visibility of each observation where it is.
         steps: Every iteration, where the history is kept.
         iterations: How many were made.
-        first: Energy at the start, nats.
         converged: Whether the last step was steady, or where steps leap over a crease of the energy, gained nothing.
     """
 
@@ -74,7 +73,7 @@ class Descent:
         self.weights: list[Weights] = list(start.weights)
         self.steps: list[Step] = []
         self.iterations = 0
-        self.first = float("nan")
+        self._first: Callable[[], float] = lambda: float("inf")
         self.converged = False
         self._lengths = (np.inf, np.inf)  # of the last two steps
         self._damping = SETTINGS.first_damping
@@ -109,7 +108,11 @@ class Descent:
             DegenerateProblemError: The start has an infinite energy, or Levenberg-Marquardt gives up.
         """
         self.weights = self.graph.reweigh_at(self._point, self.weights)
-        self.first = self._energy() if self.most is None else float("inf")
+        if self.most is None:
+            start = self.graph, self.values, self.weights
+            self._first = cache(lambda: _energy(*start))
+            if self.graph.sensed:  # which are matched anew by each iteration
+                self._first()
         states = [(self._point, self.weights)]
         steps = Anderson()
         for iteration in range(NEWTON.followed_iterations):
@@ -166,8 +169,13 @@ class Descent:
             self.weights[index] = loop.weights[0]
         self.values = values
 
+    @property
+    def first(self) -> float:
+        """Energy at the start, nats."""
+        return self._first()
+
     def _energy(self) -> float:
-        return sum(self.graph.energies(self.values, self.weights).values())
+        return _energy(self.graph, self.values, self.weights)
 
     def _record(self) -> None:
         if self.graph.options.keep_history:
@@ -237,6 +245,10 @@ class Descent:
         first = SETTINGS.first_damping  # too much of it keeps all still
         self._damping = first if self._still else max(solution.damping, first)
         return (before and self._still) or self._in_vain >= NEWTON.vain_steps
+
+
+def _energy(graph: Graph, values: gtsam.Values, weights: Sequence[Weights]) -> float:
+    return sum(graph.energies(values, weights).values())
 
 
 class _Swinging:

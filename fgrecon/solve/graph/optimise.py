@@ -18,8 +18,9 @@ The strategies of the paper's Eqs. 4 and 5, whose weights belong to no energy, m
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import gtsam
 import numpy as np
@@ -45,9 +46,14 @@ class Optimum:
     energies: dict[str, float]  # energy by term over everything, nats
     steps: tuple[Step, ...]  # every step, if asked for
     iterations: int  # number of the solver's iterations
-    gain: float  # energy at the start minus that at the end, nats; NaN where the strategy defines none
+    gains: tuple[Callable[[], float], ...]  # of each stage makes the energy at its start minus that at its end, nats
     failure: str | None = None  # why the loop gave up, or None; the rest is then the state before
     unfinished: str | None = None  # where it was stopped short of a minimum, or None
+
+    @cached_property
+    def gain(self) -> float:
+        """Energy at the start minus that at the end, nats; NaN where the strategy defines none."""
+        return sum(one() for one in self.gains)
 
     @property
     def energy(self) -> float:
@@ -76,16 +82,16 @@ def optimise(graph: Graph, start: State, most: int | None = None, steady: float 
         loop.run()
     except DegenerateProblemError as error:
         failure = str(error)
-    energies = graph.energies(loop.values, loop.weights) if failure is None and most is None else {}
+    told = failure is None and most is None
+    energies = graph.energies(loop.values, loop.weights) if told else {}
+    known = told and graph.options.strategy.descends
     return Optimum(
         state=graph.read(loop.values, loop.weights),
         values=loop.values,
         energies=energies,
         steps=tuple(loop.steps),
         iterations=loop.iterations,
-        gain=loop.first - sum(energies.values())
-        if failure is None and most is None and graph.options.strategy.descends
-        else float("nan"),
+        gains=(lambda: loop.first - sum(energies.values()) if known else float("nan"),),
         failure=failure,
         unfinished=None if loop.converged else f"after {loop.iterations} iterations",
     )

@@ -29,6 +29,7 @@ from factors.native import native
 from factors.shape_factor import ShapeContext, ShapeTerm, shape_terms
 from factors.shape_prior import spread_prior
 from factors.shape_terms import STACKED, ShapeTerms
+from factors.system import CompiledSystem
 from fgrecon.core.arrays import Array
 from fgrecon.core.options import Options
 from fgrecon.solve.vehicle.model import VehicleModel
@@ -46,6 +47,7 @@ class VehiclePart:
         number: Number of the vehicle in the keys.
         shape: The keypoints as a function of lambda and the offsets.
         coefficients: Key of lambda, or its value where it is held.
+        alone: The system of one image of it and nothing else; the next image's differs in that one's rows alone.
     """
 
     def __init__(
@@ -84,6 +86,7 @@ class VehiclePart:
             for term in self._present.values():
                 self._planes |= term.planes(about)
         self._made: dict[str, list[gtsam.NonlinearFactor]] = {}
+        self.alone: CompiledSystem | None = None
         self._enclosed: tuple[Array, Array, LinearShape] | None = None
         self._stack = self._stacked()
         self._solved: list[gtsam.NonlinearFactor] = [self._stack.factor()] if self._stack is not None else []

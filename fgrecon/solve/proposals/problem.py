@@ -82,6 +82,25 @@ class Problem:
         other = Problem.of(observation, self.camera, self.model, self.ground, self.options)
         return replace(other, assumed=self.assumed)
 
+    def as_vehicle(self, model: VehicleModel) -> Problem:
+        """The same of a vehicle of another model, which shares all that is about the image alone.
+
+        Raises:
+            DegenerateProblemError: As `of`.
+        """
+        if self.energy.points or self.energy.masks:
+            return Problem.of(self.observation, self.camera, model, self.ground, self.options)
+        keypoints, box = self.energy.keypoints, self.energy.box
+        points = model.box_points(self.options.box.model)
+        energy = replace(
+            self.energy,
+            keypoints=replace(keypoints, mean=model.prior.mean, basis=model.prior.basis),
+            visibility=model.visibility.lookup,
+            box=None if box is None else replace(box, mean=points.mean, basis=points.basis),
+            size=_size_term(model, self.options),
+        )
+        return replace(self, model=model, energy=energy)
+
     def on(self, ground: Ground | None) -> Problem:
         """The same on another ground, or on none."""
         term = None if ground is None or "ground" in self.options.disabled_terms else GroundTerm(ground)
@@ -152,18 +171,21 @@ def _energy(
         evidence=evidence,
         strategy=options.strategy,
     )
-    size = None
-    if model.size is not None and "dimensions" not in off:
-        size = SizeTerm(model.dimension_mean, model.dimension_basis, model.size)
     return PoseEnergy(
         keypoints=keypoints,
         visibility=model.visibility.lookup,
         box=box,
-        size=size,
+        size=_size_term(model, options),
         ground=None if ground is None or "ground" in off else GroundTerm(ground),
         direction=None if observation.azimuth is None else DirectionTerm(observation.azimuth),
         points=points,
     )
+
+
+def _size_term(model: VehicleModel, options: Options) -> SizeTerm | None:
+    if model.size is None or "dimensions" in options.disabled_terms:
+        return None
+    return SizeTerm(model.dimension_mean, model.dimension_basis, model.size)
 
 
 def box_term(

@@ -61,6 +61,11 @@ class VehicleModel:
         """(N, 3) smallest change of lambda for a change of length, width and height."""
         return np.linalg.pinv(self.dimension_basis).astype(np.float64)
 
+    @cached_property
+    def by_keypoints(self) -> Array:
+        """(N, 3K) least-squares change of lambda for a change of the keypoints."""
+        return np.linalg.pinv(self.prior.basis.reshape(self.prior.dimension, self.prior.mean.size).T).astype(np.float64)
+
     @property
     def fleet_spread(self) -> Array:
         """(3, 3) covariance of the mean size of the vehicles' fleet, where none is given."""

@@ -12,6 +12,7 @@ from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.solver import minimise
+from fgrecon.solve.graph.vehicle_part import _remembered as vehicle_part
 from fgrecon.solve.proposals.problem import keypoint_covariances
 from tests.solve.graph.energy import minimise_by_ceres, minimise_by_scipy
 from tests.solve.graph.support import (
@@ -271,3 +272,24 @@ def test_an_image_that_is_solved_alone_counts_as_in_its_graph():
     graph = Graph(seen, state, pose_free=True, earlier=3)
     alone, _ = graph.alone(1, graph.values(state), state.weights)
     assert alone.observations[0].share == graph.observations[1].share < 1.0
+
+
+@pytest.mark.parametrize("free_offsets", [False, True])
+def test_the_next_vehicles_system_is_as_if_it_were_the_first(free_offsets):
+    """What a vehicle's system takes over from the last one of the same model changes nothing."""
+    found = []
+    for first in (None, 1):
+        vehicle_part.cache_clear()
+        for seed in (2,) if first is None else (first, 2):
+            problem, estimate = problem_of(seed, free_offsets=free_offsets)
+            state = proposal(problem, estimate)
+            graph = graph_at(problem, state, pose_free=True)
+            values = graph.values(state)
+            system = graph.system(values)
+            point = system.point(values)
+            weights = graph.reweigh_at(point, state.weights)
+            step, energy = graph.step(point, weights, Form.NEWTON)
+            information = system.information(point, second=True)
+        found.append([step, np.array([energy(), graph.error(point)]), information])
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -10,6 +10,7 @@ from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.proposals.problem import Problem, box_term, keypoint_covariances
+from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.vehicle.model import prepare
 from tests.cars import CAMERA, MATRIX, observe, yaw_pose
 
@@ -145,3 +146,17 @@ def test_one_place_is_degenerate(prior):
     with pytest.raises(DegenerateProblemError) as caught:
         build(prior, Observation(np.full((14, 2), 7.0), np.ones(14)))
     assert caught.value.field == "keypoints"
+
+
+@pytest.mark.parametrize("model", [*BoxModel])
+@pytest.mark.parametrize("size", [None, SIZE_PRIORS["kitti"]])
+def test_another_vehicle_shares_what_is_about_the_image(prior, seen, model, size):
+    options, ground = Options(box=BoxOptions(model=model)), Ground.level(1.65)
+    car, other = prepare(prior, SIZE_PRIORS["apollo79"]), prepare(prior, size)
+    found = Problem.of(seen, CAMERA, car, ground, options).as_vehicle(other)
+    expected = Problem.of(seen, CAMERA, other, ground, options)
+    assert found.model is other
+    h = Hypotheses.at_poses(yaw_pose(0.5)[None], prior.dimension)
+    ours, theirs = found.energy.energies(h), expected.energy.energies(h)
+    assert ours.keys() == theirs.keys()
+    assert all(np.array_equal(ours[name], theirs[name]) for name in ours)
