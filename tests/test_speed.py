@@ -9,6 +9,7 @@ from benchmarks.speed import worker
 from benchmarks.speed.authors import authors
 from benchmarks.speed.builds import REPOSITORY, THIS, Build, base_build
 from benchmarks.speed.cases import drive, hard_cars, streets, write_cases
+from benchmarks.speed.floors import multiplications
 from benchmarks.speed.measure import Arm, Table, interleaved, timing_rows
 from benchmarks.speed.side_by_side import SideBySide, timed
 from benchmarks.speed.stages import Car, pose_difference, stages
@@ -140,3 +141,19 @@ def test_without_the_authors_source_their_row_is_left_out(tmp_path):
     table = authors([], tmp_path, tmp_path, 1)
     assert table.rows == []
     assert "--authors" in table.notes[0]
+
+
+def test_multiplications_are_those_of_convolutions_and_products():
+    onnx = pytest.importorskip("onnx")
+    helper, rng = onnx.helper, np.random.default_rng(0)
+    kernel, matrix = rng.random((6, 2, 3, 3), dtype=np.float32), rng.random((5, 7), dtype=np.float32)
+    nodes = [
+        helper.make_node("Conv", ["image", "kernel"], ["map"], group=2, strides=[2, 2], pads=[1, 1, 1, 1]),
+        helper.make_node("MatMul", ["map", "matrix"], ["end"]),
+    ]
+    entry = helper.make_tensor_value_info("image", onnx.TensorProto.FLOAT, ("count", 4, 8, 10))
+    end = helper.make_tensor_value_info("end", onnx.TensorProto.FLOAT, None)
+    weights = [onnx.numpy_helper.from_array(array, name) for name, array in (("kernel", kernel), ("matrix", matrix))]
+    model = helper.make_model(helper.make_graph(nodes, "network", [entry], [end], weights))
+    of_an_image = 6 * 4 * 5 * (2 * 3 * 3) + 6 * 4 * 7 * 5
+    assert multiplications(model.SerializeToString(), (3, 4, 8, 10)) == 3 * of_an_image

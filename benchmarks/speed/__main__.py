@@ -29,7 +29,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 
-from benchmarks.speed import sections
+from benchmarks.speed import floors, sections
 from benchmarks.speed.arms import compare
 from benchmarks.speed.authors import authors
 from benchmarks.speed.builds import THIS, base_build
@@ -114,6 +114,10 @@ class Run:
         kinds["ApolloCar3D"] = [Car.of(case, prior) for case in marked_cars(count)]
         return [sections.equal(kinds)]
 
+    def least(self) -> list[Table]:
+        """What a frame needs at least."""
+        return [floors.networks(3 * self.repeats), floors.elimination(3 * self.repeats)]
+
     def steady(self) -> list[Table]:
         """Memory over many solves, and bits in threads and processes."""
         cases = next(iter(self.kinds.values()))
@@ -138,6 +142,7 @@ PARTS: dict[str, Callable[[Run], list[Table]]] = {
     "tracks": Run.tracks,
     "scenes": Run.scenes,
     "results": Run.results,
+    "least": Run.least,
     "steady": Run.steady,
 }
 
