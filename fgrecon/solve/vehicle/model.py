@@ -16,7 +16,7 @@ from fgrecon.core.size_prior import SizePrior, other_fleets
 from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle, of_fleet
 from fgrecon.solve.vehicle.visibility import VisibilityTable
 
-_OUTLINE_DIRECTIONS = 200
+_OUTLINE_DIRECTIONS = 240
 
 
 @dataclass(frozen=True)
@@ -148,11 +148,15 @@ def _model(
 
 
 def _outline(prior: ShapePrior) -> LinearPoints:
-    """The surface vertices that are farthest in some direction: those that a tight box can touch."""
+    """The surface vertices that are farthest in some direction: those that a tight box can touch.
+
+    Each direction is there with its mirror image, so that the mirrored image of a vehicle has its mirrored pose.
+    """
     assert prior.surface is not None
-    index = np.arange(_OUTLINE_DIRECTIONS) + 0.5  # Fibonacci sphere: even and deterministic
-    height, angle = 1.0 - 2.0 * index / _OUTLINE_DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * index
-    radius = np.sqrt(1.0 - height**2)
-    directions = np.stack([radius * np.cos(angle), height, radius * np.sin(angle)])
+    index = np.arange(_OUTLINE_DIRECTIONS // 2) + 0.5  # half a Fibonacci sphere: even and deterministic
+    side, angle = 1.0 - 2.0 * index / _OUTLINE_DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * index
+    radius = np.sqrt(1.0 - side**2)
+    half = np.stack([radius * np.cos(angle), radius * np.sin(angle), side])
+    directions = np.hstack([half, half * [[1.0], [1.0], [-1.0]]])
     chosen = np.unique((prior.surface.mean @ directions).argmax(axis=0))
     return LinearPoints(prior.surface.mean[chosen], prior.surface.basis[:, chosen])

@@ -46,10 +46,11 @@ def test_the_result_is_the_minimum_for_its_weights(seed, settings):
     assert result.optimum.unfinished is None
     energy = energy_of(problem, result.weights, start.camera_T_object, joint=problem.options.shape.joint)
     x = minimise_by_scipy(energy, energy.start(start.coefficients, np.zeros((14, 3))))
-    np.testing.assert_allclose(result.pose.matrix(), energy.pose_at(x), atol=1e-6)
-    np.testing.assert_allclose(result.coefficients, energy.split(x)[1], atol=1e-6)
+    near = 5.0 * SETTINGS.newton.steady  # the last step is below `steady`; visibility comes to rest by a part a step
+    np.testing.assert_allclose(result.pose.matrix(), energy.pose_at(x), atol=near)
+    np.testing.assert_allclose(result.coefficients, energy.split(x)[1], atol=near)
     points = problem.model.prior.keypoints(result.coefficients, result.offsets)
-    np.testing.assert_allclose(points, energy.points_at(x), atol=1e-6)
+    np.testing.assert_allclose(points, energy.points_at(x), atol=near)
     assert np.abs(result.coefficients - start.coefficients).max() > 2e-3  # which are not the start
 
 

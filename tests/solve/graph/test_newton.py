@@ -65,15 +65,17 @@ def test_a_step_of_gtsams_from_the_end_moves_nothing(seed):
     assert built.error(descent.values) - built.error(moved) < 1e-9
 
 
-def test_an_end_before_the_minimum_is_near_it_and_takes_fewer_steps():
-    problem, proposal = problem_of(1)
+@pytest.mark.parametrize("seed", range(6))
+def test_an_end_before_the_minimum_is_near_it_and_takes_fewer_steps(seed):
+    """Its energy may even be lower, by as much as visibility changes it in the steps that are left."""
+    problem, proposal = problem_of(seed)
     start = start_state([GraphObservation(problem)], [proposal])
     near, end = (
         optimise(Graph([GraphObservation(problem)], start, pose_free=True), start, steady=steady)
         for steady in (1e-2, None)
     )
     assert near.iterations < end.iterations
-    assert 0.0 <= near.energy - end.energy < 0.05
+    assert -1e-3 < near.energy - end.energy < 0.05
 
 
 def test_the_energy_is_lower_than_at_the_start_and_every_iterate_is_kept():
