@@ -28,6 +28,7 @@ The functions raise `InvalidInputError` where a number is negative or too large.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import gtsam
@@ -126,6 +127,7 @@ def key_name(key: int) -> str:
     return f"{letter}(v={vehicle}{detail})"
 
 
+@lru_cache(maxsize=4096)
 def _key(letter: str, vehicle: int, low: int, low_name: str) -> int:
     if not 0 <= vehicle < _VEHICLES:
         raise InvalidInputError("vehicle", vehicle, f"Number vehicles from 0 to {_VEHICLES - 1}.")

@@ -159,6 +159,12 @@ class Observation:
         object.__setattr__(other, "evidence", as_evidence((*self.evidence, *evidence)))
         return other
 
+    def with_directions(self, azimuth: NDArray[np.float64]) -> Observation:
+        """The observation with other directions (A,)."""
+        other = copy(self)  # all else is checked
+        object.__setattr__(other, "azimuth", as_directions("azimuth", azimuth))
+        return other
+
     def undistorted(self, camera: Camera, names: Sequence[str]) -> Observation:
         """The observation freed of lens distortion.
 

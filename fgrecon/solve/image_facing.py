@@ -63,7 +63,7 @@ def couple_facings(
     right = (1.0 + mean_field(own, between)) / 2.0
     for row, (i, side) in enumerate(found.items()):
         if options.traffic is not None or between[row].any():
-            coupled[i] = replace(coupled[i], azimuth=_either_way(side.ahead, right[row]))
+            coupled[i] = coupled[i].with_directions(_either_way(side.ahead, right[row]))
     return coupled
 
 
@@ -145,7 +145,7 @@ def estimate_pose_facing(
     ahead = half_around(towards, len(observation.azimuth)) * (
         observation.azimuth + flipped_directions(observation.azimuth)
     )
-    other = replace(observation, azimuth=_either_way(ahead / ahead.sum(), right))
+    other = observation.with_directions(_either_way(ahead / ahead.sum(), right))
     try:
         return estimate_pose(problem.showing(other), observation)
     except DegenerateProblemError:

@@ -184,13 +184,18 @@ class Graph:
         more = self._more[number]
         return Graph([one], state, pose_free=True, hold_shape=True, extra=self.extra, earlier=more), state
 
-    def check_in_front(self, values: gtsam.Values) -> None:
+    def check_in_front(self, values: gtsam.Values, point: Point = None) -> None:
         """Refuse values with keypoints behind a camera.
+
+        Args:
+            point: The point of `system` there, where it is known.
 
         Raises:
             DegenerateProblemError: There are some.
         """
-        if not (self._judges and math.isfinite(self.error(self.system(values).point(values)))):
+        if not (
+            self._judges and math.isfinite(self.error(self.system(values).point(values) if point is None else point))
+        ):
             for part in self.observations:
                 check_in_front(part.kernel, values)
 

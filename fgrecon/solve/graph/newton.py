@@ -18,6 +18,7 @@ leads, which is a long way if it is across a plateau.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
@@ -83,6 +84,11 @@ class Descent:
         self._swinging = _Swinging(len(start.weights))
         self._shared = not start.others.empty() or bool(graph.shared.known)
         self._steady = NEWTON.steady if steady is None else steady
+
+    @property
+    def point(self) -> Point:
+        """Where it is, as the graph's system has it."""
+        return self._point
 
     @property
     def values(self) -> gtsam.Values:
@@ -257,20 +263,27 @@ class _Swinging:
     def __init__(self, images: int) -> None:
         self.held: set[int] = set()
         self._several = images > 1
-        self._changes: list[Array] = []
+        most = max(NEWTON.watched_iterations + 1, 3)
+        self._passed: deque[tuple[Sequence[Weights], Sequence[Weights]]] = deque(maxlen=most)  # weights before, after
 
     def watch(self, before: Sequence[Weights], after: Sequence[Weights]) -> set[int]:
         """Take note of an iteration; the images that now swing."""
         if not self._several:
             return set()
-        visibilities = [np.array([one.visibility for one in some]) for some in (before, after)]
-        self._changes.append(np.abs(visibilities[1] - visibilities[0]).max(axis=1))
-        if len(self._changes) <= (2 if self.held else NEWTON.watched_iterations):
+        self._passed.append((before, after))
+        if len(self._passed) <= (2 if self.held else NEWTON.watched_iterations):
             return set()
-        now, earlier = self._changes[-1], self._changes[-3]
+        now, earlier = (_changes(*self._passed[back]) for back in (-1, -3))
         worst = np.maximum(NEWTON.least_swing, 0.5 * now.max())  # the others may change because of those
         swinging = set(np.flatnonzero((now > worst) & (now >= earlier)).tolist())
         if swinging:
             self.held |= swinging
-            self._changes.clear()  # what the others did was its doing too
+            self._passed.clear()  # what the others did was its doing too
         return swinging
+
+
+def _changes(before: Sequence[Weights], after: Sequence[Weights]) -> Array:
+    """(N,) how much the visibility of each image changed at most."""
+    visibilities = [np.array([one.visibility for one in some]) for some in (before, after)]
+    changes: Array = np.abs(visibilities[1] - visibilities[0]).max(axis=1)
+    return changes

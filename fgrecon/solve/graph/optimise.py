@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 import gtsam
 import numpy as np
@@ -43,12 +43,17 @@ class Optimum:
 
     state: State  # poses, shapes and weights
     values: gtsam.Values  # the same, with planes
-    energies: dict[str, float]  # energy by term over everything, nats
+    told: Callable[[], dict[str, float]]  # makes `energies`
     steps: tuple[Step, ...]  # every step, if asked for
     iterations: int  # number of the solver's iterations
     gains: tuple[Callable[[], float], ...]  # of each stage makes the energy at its start minus that at its end, nats
     failure: str | None = None  # why the loop gave up, or None; the rest is then the state before
     unfinished: str | None = None  # where it was stopped short of a minimum, or None
+
+    @cached_property
+    def energies(self) -> dict[str, float]:
+        """Energy by term over everything, nats; none where they were not to be told or it gave up."""
+        return self.told()
 
     @cached_property
     def gain(self) -> float:
@@ -78,20 +83,22 @@ def optimise(graph: Graph, start: State, most: int | None = None, steady: float 
     loop = Descent(graph, start, most, steady) if graph.is_robust else _Loop(graph, start)
     failure = None
     try:
-        graph.check_in_front(loop.values)
+        graph.check_in_front(loop.values, loop.point)
         loop.run()
     except DegenerateProblemError as error:
         failure = str(error)
-    told = failure is None and most is None
-    energies = graph.energies(loop.values, loop.weights) if told else {}
-    known = told and graph.options.strategy.descends
+    are_told = failure is None and most is None
+    energies = cache(lambda: graph.energies(loop.values, loop.weights) if are_told else {})
+    if graph.sensed:  # which are matched anew where others look
+        energies()
+    known = are_told and graph.options.strategy.descends
     return Optimum(
         state=graph.read(loop.values, loop.weights),
         values=loop.values,
-        energies=energies,
+        told=energies,
         steps=tuple(loop.steps),
         iterations=loop.iterations,
-        gains=(lambda: loop.first - sum(energies.values()) if known else float("nan"),),
+        gains=(lambda: loop.first - sum(energies().values()) if known else float("nan"),),
         failure=failure,
         unfinished=None if loop.converged else f"after {loop.iterations} iterations",
     )
@@ -103,6 +110,7 @@ class _Loop:
     def __init__(self, graph: Graph, start: State) -> None:
         self.graph, self.strategy = graph, graph.options.strategy
         self.values, self.weights = graph.values(start), list(start.weights)
+        self.point = None
         self.steps: list[Step] = []
         self.iterations = self.update = 0
         self.converged = True
