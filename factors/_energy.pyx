@@ -20,6 +20,52 @@ from factors.mixture import STIFFEST
 from factors.projection import LEAST_DEPTH, SHALLOWEST
 
 cdef extern from *:
+    """
+    /* Without fused products, which round otherwise. */
+    #if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+    #define FGRECON_WIDE __attribute__((target_clones("avx2", "default")))
+    #else
+    #define FGRECON_WIDE
+    #endif
+
+    /* `project` of points (P, 3): pixels (2, P), their derivatives G (6, P) unless it is NULL, and depths (P,). */
+    FGRECON_WIDE static void fgrecon_pixels(
+        const double *restrict C, const double *restrict R, const double *restrict t, const double *restrict X, int P,
+        double least, double *restrict U, double *restrict G, double *restrict depths
+    ) {
+        for (int p = 0; p < P; p++) {
+            const double *at = X + 3 * p;
+            double x = R[0] * at[0] + R[1] * at[1] + R[2] * at[2] + t[0];
+            double y = R[3] * at[0] + R[4] * at[1] + R[5] * at[2] + t[1];
+            const double depth = R[6] * at[0] + R[7] * at[1] + R[8] * at[2] + t[2];
+            const double inverse = 1.0 / (depth > least ? depth : least);
+            x *= inverse;
+            y *= inverse;
+            U[p] = C[0] * x + C[1] * y + C[2];
+            U[P + p] = C[4] * y + C[5];
+            depths[p] = depth;
+            if (G != NULL) {
+                G[p] = C[0] * inverse;
+                G[P + p] = C[1] * inverse;
+                G[2 * P + p] = -(C[0] * x + C[1] * y) * inverse;
+                G[3 * P + p] = 0.0;
+                G[4 * P + p] = C[4] * inverse;
+                G[5 * P + p] = -C[4] * y * inverse;
+            }
+        }
+    }
+
+    /* Add to a row (N,) the product of h (3,) and a basis (3, N). */
+    static inline void fgrecon_along(const double *h, const double *restrict basis, int N, double *restrict row) {
+        const double a = h[0], b = h[1], c = h[2];
+        for (int n = 0; n < N; n++) row[n] = row[n] + a * basis[n] + b * basis[N + n] + c * basis[2 * N + n];
+    }
+    """
+    void along "fgrecon_along"(const double *h, const double *basis, int N, double *row) nogil
+    void pixels "fgrecon_pixels"(
+        const double *C, const double *R, const double *t, const double *X, int P, double least, double *U, double *G,
+        double *depths
+    ) nogil
     unsigned int FGRECON_SOURCES
 
 SOURCES = FGRECON_SOURCES  # what it was compiled from, for `factors.native`
@@ -200,6 +246,7 @@ cdef class Observation:
 
     cdef readonly int keypoints, coefficients, points, rows
     cdef const double[:, ::1] camera, mean, basis, pixels, whitener, outline, outline_basis
+    cdef const double[:, :, ::1] outline_by_point  # (P, 3, N) the basis again
     cdef const double[::1] edges, normal, direction
     cdef const unsigned char[::1] used
     cdef double box_sigma, box_wrong, softness, distance, height_sigma, slope_sigma, tilt_sigma
@@ -229,7 +276,8 @@ cdef class Observation:
 
         Args:
             camera: (3, 3). mean: (K, 3). basis: (N, 3K). pixels: (K, 2). whitener: (K, 3) lower triangular.
-            box: None, or (points (P, 3), basis (N, 3P), edges (4,), used (4,), sigma, wrong, softness).
+            box: None, or (points (P, 3), basis (N, 3P), the same as (P, 3, N), edges (4,), used (4,), sigma, wrong,
+                softness).
             ground: None, or (normal (3,), distance, height sigma, slope sigma, tilt sigma).
         """
         self.camera, self.mean, self.basis, self.pixels, self.whitener = camera, mean, basis, pixels, whitener
@@ -238,8 +286,8 @@ cdef class Observation:
         self.has_box, self.has_ground = box is not None, ground is not None
         self.has_size = self.has_direction = self.is_bound = False
         if box is not None:
-            self.outline, self.outline_basis, self.edges, self.used = box[0], box[1], box[2], box[3]
-            self.box_sigma, self.box_wrong, self.softness = box[4], box[5], box[6]
+            self.outline, self.outline_basis, self.outline_by_point, self.edges, self.used = box[:5]
+            self.box_sigma, self.box_wrong, self.softness = box[5], box[6], box[7]
             self.points = len(box[0])
         if ground is not None:
             self.normal = ground[0]
@@ -250,6 +298,8 @@ cdef class Observation:
         if box is not None:
             sizes += [self.outline.shape[1] == 3, self.outline_basis.shape[0] == self.coefficients,
                       self.outline_basis.shape[1] == 3 * self.points, self.edges.shape[0] == 4,
+                      self.outline_by_point.shape[0] == self.points, self.outline_by_point.shape[1] == 3,
+                      self.outline_by_point.shape[2] == self.coefficients,
                       self.used.shape[0] == 4]
         if ground is not None:
             sizes += [self.normal.shape[0] == 3]
@@ -322,31 +372,29 @@ cdef class Observation:
         the object's axes, a shift along the camera's, and the coefficients; likewise the rows (4, 6 + N) of creases
         (`factors.box.crease_rows`); the least depth."""
         cdef int e, i, p, n, a, b, count, N = self.coefficients, P = self.points, D = 6 + self.coefficients
-        cdef double *U = work  # (2, P) pixels, (P, 6) their derivatives, (P, 3) object points
+        cdef double *U = work  # (2, P) pixels, (6, P) their derivatives, (P, 3) object points
         cdef double *G = U + 2 * P
         cdef double *X = G + 6 * P
         cdef double *share = X + 3 * P  # of the points that have a share in an extent; how far they are
         cdef double *away = share + P  # from the outermost one, in softnesses; and which they are
         cdef int *which = <int *> (away + P)
         cdef double extreme[4]
-        cdef double uv[2]
         cdef double g[3]
         cdef double h[3]
         cdef double moment[9]
-        cdef double by_shape, sign, total, mean, depth, behind, farthest = -FARTHEST * self.softness, nearest = INFINITY
+        cdef double sign, total, mean, behind, farthest = -FARTHEST * self.softness, nearest = INFINITY
         for e in range(4):
             extreme[e] = -INFINITY
         memcpy(X, &self.outline[0, 0], 3 * P * sizeof(double))
         for n in range(N):
             for i in range(3 * P):
                 X[i] += x[n] * self.outline_basis[n, i]
+        pixels(&self.camera[0, 0], R, t, X, P, least, U, G if J != NULL else NULL, share)
         for p in range(P):
-            depth = project(&self.camera[0, 0], R, t, X + 3 * p, least, uv, G + 6 * p if crease != NULL else NULL)
-            nearest = depth if depth < nearest else nearest
+            nearest = share[p] if share[p] < nearest else nearest
             for a in range(2):
-                U[a * P + p] = uv[a]
-                extreme[a] = -uv[a] if -uv[a] > extreme[a] else extreme[a]
-                extreme[2 + a] = uv[a] if uv[a] > extreme[2 + a] else extreme[2 + a]
+                extreme[a] = -U[a * P + p] if -U[a * P + p] > extreme[a] else extreme[a]
+                extreme[2 + a] = U[a * P + p] if U[a * P + p] > extreme[2 + a] else extreme[2 + a]
         for e in range(4):
             sign = -1.0 if e < 2 else 1.0
             count = 0
@@ -369,21 +417,15 @@ cdef class Observation:
             memset(moment, 0, 9 * sizeof(double))
             for i in range(count):
                 p = which[i]
-                if crease == NULL:
-                    project(&self.camera[0, 0], R, t, X + 3 * p, least, uv, G + 6 * p)
                 share[i] *= (1.0 + away[i] - mean) / (total * self.box_sigma)
                 for a in range(3):
-                    g[a] = share[i] * G[6 * p + 3 * (e % 2) + a]
+                    g[a] = share[i] * G[(3 * (e % 2) + a) * P + p]
                     J[e * D + 3 + a] += g[a]
                     for b in range(3):
                         moment[3 * b + a] += X[3 * p + b] * g[a]
                 if N:
                     turned(g, R, h)
-                    for n in range(N):
-                        by_shape = J[e * D + 6 + n]  # in a register: to memory and back takes longer than the product
-                        for a in range(3):
-                            by_shape += h[a] * self.outline_basis[n, 3 * p + a]
-                        J[e * D + 6 + n] = by_shape
+                    along(h, &self.outline_by_point[p, 0, 0], N, J + e * D + 6)
             for a in range(3):  # sum of X x (g R), from the sums of X g'
                 turned(moment + 3 * a, R, h)
                 J[e * D + (a + 2) % 3] += h[(a + 1) % 3]
@@ -404,13 +446,19 @@ cdef class Observation:
         cdef double first_turn[3]
         cdef double h[3]
         cdef double turn[3]
+        cdef double g[3]
+        cdef double first_g[3]
         U += (e % 2) * P  # of the edge's axis
-        G += 3 * (e % 2)
+        G += 3 * (e % 2) * P
         for p in range(P):
             first = p if sign * U[p] > sign * U[first] else first
-        lever(X + 3 * first, G + 6 * first, R, first_h, first_turn)
+        for a in range(3):
+            g[a] = first_g[a] = G[a * P + first]
+        lever(X + 3 * first, g, R, first_h, first_turn)
         for p in range(P):
-            lever(X + 3 * p, G + 6 * p, R, h, turn)
+            for a in range(3):
+                g[a] = G[a * P + p]
+            lever(X + 3 * p, g, R, h, turn)
             length = 0.0
             for a in range(3):
                 length += (turn[a] - first_turn[a]) * (turn[a] - first_turn[a])
@@ -419,11 +467,13 @@ cdef class Observation:
                 most, stiffness, second = stiff * length, stiff, p
         if second < 0:
             return
-        lever(X + 3 * second, G + 6 * second, R, h, turn)
+        for a in range(3):
+            g[a] = G[a * P + second]
+        lever(X + 3 * second, g, R, h, turn)
         share = sqrt(beyond / self.box_sigma * stiffness)
         for a in range(3):
             row[a] = share * (first_turn[a] - turn[a])
-            row[3 + a] = share * (G[6 * first + a] - G[6 * second + a])
+            row[3 + a] = share * (first_g[a] - g[a])
             for n in range(self.coefficients):
                 row[6 + n] += share * (
                     first_h[a] * self.outline_basis[n, 3 * first + a] - h[a] * self.outline_basis[n, 3 * second + a]

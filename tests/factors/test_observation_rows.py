@@ -95,6 +95,7 @@ class Case:
             extent = (
                 outline,
                 np.ascontiguousarray(outline_basis).reshape(VECTORS, -1),
+                np.ascontiguousarray(outline_basis.transpose(1, 2, 0)),
                 self.edges,
                 self.used.view(np.uint8),
                 self.sigma,

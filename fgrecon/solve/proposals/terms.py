@@ -160,6 +160,7 @@ class BoxTerm:
         return (
             np.ascontiguousarray(self.mean),
             np.ascontiguousarray(self.basis).reshape(len(self.basis), 3 * len(self.mean)),
+            _by_point(self.basis),
             np.ascontiguousarray(rows.edges, dtype=np.float64),
             np.ascontiguousarray(rows.used).view(np.uint8),
             rows.sigma,
@@ -190,6 +191,21 @@ class BoxTerm:
         """Pixels (H, P, 2), camera points, depths (H, P) and object points."""
         points: Array = self.mean + np.tensordot(h.coefficients, self.basis, axes=1)
         return *project(self.matrix, h.rotation, h.translation, points, MIN_DEPTH), points
+
+
+_BY_POINT: dict[int, tuple[Array, Array]] = {}
+"""Bases of the last few models, and what `_by_point` makes of them, by their identity."""
+_MODELS = 16
+
+
+def _by_point(basis: Array) -> Array:
+    """(P, 3, N) of a basis (N, P, 3), which thousands of vehicles share."""
+    known = _BY_POINT.get(id(basis))
+    if known is None or known[0] is not basis:
+        if len(_BY_POINT) >= _MODELS:
+            _BY_POINT.clear()
+        known = _BY_POINT[id(basis)] = basis, np.ascontiguousarray(basis.transpose(1, 2, 0))
+    return known[1]
 
 
 @dataclass(frozen=True)
