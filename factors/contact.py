@@ -11,7 +11,7 @@ road to first order and b its roll (radians), h metres.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -38,7 +38,7 @@ class GroundFrame:
     normal: Array
     distance: float
     across: Array
-    _last: list[tuple[bytes, tuple[Array, Array]]] = field(default_factory=list, init=False, repr=False, compare=False)
+    _last: list[tuple[bytes, tuple[Array, Array]]] = field(default_factory=list, repr=False, compare=False)
 
     @classmethod
     def of(cls, normal: ArrayLike, distance: float) -> GroundFrame:
@@ -53,6 +53,10 @@ class GroundFrame:
             forward = np.array([0.0, 1.0, 0.0]) - n[1] * n
         e1 = forward / np.linalg.norm(forward)
         return cls(n, float(finite_array("distance", distance, ())), np.stack([e1, np.cross(n, e1)]))
+
+    def lifted(self, metres: float) -> GroundFrame:
+        """That of a plane so much nearer to the camera."""
+        return replace(self, distance=self.distance - metres, _last=[]) if metres else self
 
     def plane(self, change: Array) -> tuple[Array, float]:
         """Normal (3,) and distance of the plane at a change (3,): h, a, b."""

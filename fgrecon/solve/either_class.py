@@ -60,10 +60,7 @@ class EitherClass:
             or len(known.coefficients_covariance) != len(self.coefficients)  # of a lorry by now
         ):
             return result
-        van = 1.0 / (1.0 + math.exp(-log_odds))
-        way = max(float(self.size @ self.size), 1e-12)
-        along = float((result.shape.box_size - self.car_size) @ self.size) / way
-        at = min(max(along, 0.0), 1.0)  # where the result is on the way from the car to the van
+        van, at = _probability(log_odds), self._at(result.shape.box_size)
         spread = (1.0 - van) * at**2 + van * (1.0 - at) ** 2
         pose = np.concatenate([self.turn, result.camera_T_object[:3, :3].T @ self._moved(result.location)])
         shifts = self.keypoints[:, :, None] * self.keypoints[:, None, :]
@@ -76,6 +73,23 @@ class EitherClass:
             size_covariance=known.size_covariance + spread * np.outer(self.size, self.size),
         )
         return replace(result, uncertainty=uncertainty)
+
+    def lower(self, location: Array, size: Array, down: Array, log_odds: float) -> tuple[float, float]:
+        """By how much lower than solved a vehicle stands whose class is open, metres: mean and standard deviation.
+
+        Args:
+            location: (3,) where it was solved, metres, in the camera's frame.
+            size: (3,) with which it was.
+            down: (3,) what is down there.
+            log_odds: Of a van against a car, by all that is known.
+        """
+        van, way = _probability(log_odds), float(down @ self._moved(location))
+        return (van - self._at(size)) * way, math.sqrt(van * (1.0 - van)) * abs(way)
+
+    def _at(self, size: Array) -> float:
+        """Where a size (3,) is on the way from the car, 0, to the van, 1."""
+        along = float((size - self.car_size) @ self.size) / max(float(self.size @ self.size), 1e-12)
+        return min(max(along, 0.0), 1.0)
 
     def _moved(self, location: Array) -> Array:
         """(3,) the move of a vehicle that has come to a place (3,) since, metres: along the ray there, and in scale."""
@@ -148,6 +162,10 @@ def mean_log_odds(frames: Iterable[EitherClass | None]) -> float:
     """Log odds of a van by frames of one vehicle; 0 where none says anything."""
     known = [one.log_odds for one in frames if one is not None]
     return sum(known) / len(known) if known else 0.0
+
+
+def _probability(log_odds: float) -> float:
+    return 1.0 / (1.0 + math.exp(-log_odds))
 
 
 @dataclass(frozen=True)

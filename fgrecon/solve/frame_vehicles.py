@@ -1,4 +1,8 @@
-"""The vehicles of one frame: each looked at by itself, on what is known of the ground; then which way they face."""
+"""The vehicles of one frame: each looked at by itself, on what is known of the ground; then which way they face.
+
+Of the ground they tell what a car and a van in their place do, each as far as it is probable. A van that is taken for a
+car comes out too near and too high, and would draw the ground along for all.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.solve.class_filter import ClassBelief, with_model
-from fgrecon.solve.either_class import EitherClass
+from fgrecon.solve.either_class import EitherClass, either_class, mean_log_odds
 from fgrecon.solve.fitted_class import FittedClass
 from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
 from fgrecon.solve.ground_filter import CameraFrame, KnownGround
@@ -66,15 +70,22 @@ class FrameVehicles:
     updates: Mapping[int, VehicleUpdate]  # by id
     refused: Mapping[int, FgreconError]  # why others could not be looked at, by id
     classes: Mapping[int, ClassBelief | None]  # of which class each is, by id; None where nothing says
+    either: Mapping[int, EitherClass | None]  # what a van instead of a car changes in each; None where that is not open
+    van_odds: Mapping[int, float]  # log odds that each is a van, by all of its frames
 
     def poses(self) -> list[Array]:
         """Pose (4, 4) of each that was looked at."""
         return [update.frame.pose.matrix() for update in self.updates.values()]
 
     def ground_evidence(self, known: Marginal, plane: Ground) -> GroundEvidence | None:
-        """What those that were looked at say of the ground; see `ground_evidence`."""
-        updates = self.updates.values()
-        return ground_evidence([one.frame for one in updates], [one.shape for one in updates], plane, known)
+        """What those that were looked at say of the ground, of whichever class they are; see `ground_evidence`."""
+        updates, lower = self.updates.values(), dict[int, tuple[float, float]]()
+        for i, (name, update) in enumerate(self.updates.items()):
+            either, prior = self.either[name], update.frame.problem.model.prior
+            if either is not None:
+                size, place = prior.category.box_size(prior.keypoints(*update.shape)), update.frame.pose.translation()
+                lower[i] = either.lower(np.asarray(place), size, plane.normal, self.van_odds[name])
+        return ground_evidence([one.frame for one in updates], [one.shape for one in updates], plane, known, lower)
 
 
 def look_at_vehicles(
@@ -118,7 +129,35 @@ def look_at_vehicles(
         except FgreconError as error:
             refused[name] = error
             del updates[name]
-    return FrameVehicles(updates, refused, classes)
+    either = {
+        name: _either_class(update, tracks.get(name), classes[name], frame, setup) for name, update in updates.items()
+    }
+    odds = {name: van_odds(tracks.get(name), one) for name, one in either.items()}
+    return FrameVehicles(updates, refused, classes, either, odds)
+
+
+def van_odds(track: VehicleTrack | None, *more: EitherClass | None) -> float:
+    """Log odds that a vehicle is a van, by its frames and more."""
+    known = () if track is None else track.contexts
+    return mean_log_odds([*(context.either for context in known), *more])
+
+
+def _either_class(
+    update: VehicleUpdate, track: VehicleTrack | None, belief: ClassBelief | None, frame: CameraFrame, setup: SolveSetup
+) -> EitherClass | None:
+    """What a van instead of a car changes in a vehicle's frame, on the ground as it is given.
+
+    The ground that vehicles share follows what they are taken for.
+    """
+    if track is not None and (recent := track.recent_either_class(frame.time)) is not None:
+        return recent
+    here, ground = update.frame, frame.ground
+    alone = update.solved.adjusted.optimum if track is None and here.problem.ground is ground else None
+    classes: Mapping[str, float] | None = setup.classes_of([here.problem.observation])
+    if classes is None and belief is not None:
+        classes = belief.probability
+    problem = here.problem if here.problem.ground is ground else here.problem.on(ground)
+    return either_class(problem, here.pose.matrix(), update.shape[0], setup, classes, alone)
 
 
 def _as_class(

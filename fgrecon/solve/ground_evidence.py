@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -28,7 +28,11 @@ class GroundEvidence:
 
 
 def ground_evidence(
-    frames: Sequence[Frame], shapes: Sequence[ShapeValues], nominal: Ground, known: Marginal
+    frames: Sequence[Frame],
+    shapes: Sequence[ShapeValues],
+    nominal: Ground,
+    known: Marginal,
+    lower: Mapping[int, tuple[float, float]] | None = None,
 ) -> GroundEvidence | None:
     """What the vehicles of an image say of the ground, their poses and shapes eliminated.
 
@@ -37,13 +41,14 @@ def ground_evidence(
         shapes: Of each, as it is known.
         nominal: About where the ground is.
         known: What is known of its change G(0) from there; of the evidence it is no part.
+        lower: By how much lower than they are solved some stand, by index: mean and standard deviation, metres.
 
     Returns:
         The evidence about G(0); None where there are fewer than two vehicles, or they could not be solved.
     """
     if len(frames) < 2 or "ground" in frames[0].problem.options.disabled_terms:
         return None
-    standing = ImageGround.of(0, {i: one.pose.matrix() for i, one in enumerate(frames)}, nominal)
+    standing = ImageGround.of(0, {i: one.pose.matrix() for i, one in enumerate(frames)}, nominal, lower=lower)
     state = State([one.pose for one in frames], dict(enumerate(shapes)), [one.weights for one in frames], known.values)
     extra = [*standing.contacts.values(), marginal_factor(known)]
     graph = Graph(

@@ -37,13 +37,24 @@ class ImageGround:
     spread: Array  # (3,) standard deviations of height, pitch and roll before the vehicles say more
 
     @classmethod
-    def of(cls, image: int, poses: Mapping[int, Array], nominal: Ground, *, given: bool = True) -> ImageGround:
-        """The ground of an image with vehicles at poses (4, 4), by number, about where it is given or observed."""
-        frame = GroundFrame.of(nominal.normal, nominal.distance)
-        contacts = {
-            number: contact_factor(X(number, 0), G(image), frame, _contact_noise(nominal, float(pose[2, 3])))
-            for number, pose in poses.items()
-        }
+    def of(
+        cls,
+        image: int,
+        poses: Mapping[int, Array],
+        nominal: Ground,
+        *,
+        given: bool = True,
+        lower: Mapping[int, tuple[float, float]] | None = None,
+    ) -> ImageGround:
+        """The ground of an image with vehicles at poses (4, 4), by number, about where it is given or observed.
+
+        `lower` has those that stand lower than their poses: mean and standard deviation, metres.
+        """
+        frame, contacts = GroundFrame.of(nominal.normal, nominal.distance), {}
+        for number, pose in poses.items():
+            mean, sigma = (lower or {}).get(number, (0.0, 0.0))
+            noise = _contact_noise(nominal, float(pose[2, 3]), sigma)
+            contacts[number] = contact_factor(X(number, 0), G(image), frame.lifted(mean), noise)
         return cls(G(image), nominal, frame, contacts, ground_spread(nominal if given else None))
 
     @property
@@ -85,9 +96,10 @@ def observed_ground(poses: Sequence[Array]) -> Ground | None:
     return Ground(normal, max(distance, SCENE.least_camera_height_m))
 
 
-def _contact_noise(ground: Ground, depth: float) -> gtsam.noiseModel.Robust:
-    """What is a vehicle's own of its deviation from the plane."""
-    height, tilt = _own_height(ground, depth), SCENE.own_tilt_share * min(ground.tilt_sigma, Ground.tilt_sigma)
+def _contact_noise(ground: Ground, depth: float, sigma: float) -> gtsam.noiseModel.Robust:
+    """What is a vehicle's own of its deviation from the plane, and of its height besides, metres."""
+    height = np.hypot(_own_height(ground, depth), sigma)
+    tilt = SCENE.own_tilt_share * min(ground.tilt_sigma, Ground.tilt_sigma)
     return RobustLoss.of(Loss.CAUCHY, SCENE.contact_loss_sigmas).wrap(
         diagonal_noise("contact", np.array([height, tilt, tilt, tilt]))
     )

@@ -33,11 +33,9 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
-from fgrecon.solve.class_filter import ClassBelief
 from fgrecon.solve.depth_scale import with_scales
-from fgrecon.solve.either_class import EitherClass, either_class, mean_log_odds
 from fgrecon.solve.fitted_class import with_fitted_classes
-from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, look_at_vehicles
+from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, look_at_vehicles, van_odds
 from fgrecon.solve.graph.records import graph_factors
 from fgrecon.solve.ground_filter import CameraFrame, GroundFilter, KnownGround
 from fgrecon.solve.image_facing import couple_facings
@@ -59,7 +57,7 @@ from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.camera_drift import CameraDrift
 from fgrecon.solve.time.frame import Frame
 from fgrecon.solve.time.smooth import smooth
-from fgrecon.solve.time.vehicle_filter import FilterModel, VehicleFilter
+from fgrecon.solve.time.vehicle_filter import FilterModel
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, velocity_covariances
 
 _MAPPING = "Give a mapping: an `fgrecon.Observation` by id. Images go to `fgrecon.video.ImageTracker`."
@@ -219,10 +217,7 @@ class Tracker:
                 refused[name] = error
                 continue
             before = self._tracks.get(name)
-            either = None if before is None else before.recent_either_class(time)
-            if either is None:
-                either = self._either_class(vehicle, vehicles.classes[name], frame.ground)
-            context = FrameContext(time, frame.world_T_camera, grounded, either)
+            context = FrameContext(time, frame.world_T_camera, grounded, vehicles.either[name])
             contexts = (context,) if before is None else (*before.contexts, context)
             tracks[name] = VehicleTrack(vehicle, frame, contexts[-len(vehicle.past) :], vehicles.classes[name])
         found = {name: self._estimate(name, track) for name, track in tracks.items()} if estimated else {}
@@ -344,29 +339,14 @@ class Tracker:
         vehicle = track.vehicle
         last = len(vehicle.solved.parts) - 1
         frame = vehicle.past[-1], track.contexts[-1]
-        return _estimates(name, {last: frame}, vehicle.solved, last + 1, _van_odds(track))[0]
-
-    def _either_class(
-        self, vehicle: VehicleFilter, belief: ClassBelief | None, ground: Ground | None
-    ) -> EitherClass | None:
-        """What a van instead of a car changes in a vehicle's last frame, on the ground as it is given.
-
-        The ground that vehicles share follows what they are taken for.
-        """
-        frame, solved = vehicle.past[-1], vehicle.solved
-        alone = solved.adjusted.optimum if len(solved.parts) == 1 and frame.problem.ground is ground else None
-        classes: Mapping[str, float] | None = self._setup.classes_of([frame.problem.observation])
-        if classes is None and belief is not None:
-            classes = belief.probability
-        problem = frame.problem if frame.problem.ground is ground else frame.problem.on(ground)
-        return either_class(problem, frame.pose.matrix(), vehicle.shape[0], self._setup, classes, alone)
+        return _estimates(name, {last: frame}, vehicle.solved, last + 1, van_odds(track))[0]
 
     def _smoothed(self, name: int, track: VehicleTrack, frames: Sequence[Frame]) -> list[VehicleEstimate]:
         contexts = {frame.number: context for frame, context in zip(track.vehicle.past, track.contexts, strict=True)}
         found = []
         for solved, some, given in smooth(frames, track.vehicle.shape, self._model.motion, self._model.extra):
             selected = {index: (some[index], contexts[some[index].number]) for index in given}
-            found += _estimates(name, selected, solved, len(frames), _van_odds(track))
+            found += _estimates(name, selected, solved, len(frames), van_odds(track))
         return found
 
 
@@ -375,10 +355,6 @@ def _box_excess(track: VehicleTrack) -> float:
     excess = np.array([box_excess(f.problem, f.pose.matrix(), shape, f.problem.camera) for f in frames])
     known = excess[np.isfinite(excess)]
     return float(np.median(known)) if len(known) else float("nan")
-
-
-def _van_odds(track: VehicleTrack) -> float:
-    return mean_log_odds(context.either for context in track.contexts)
 
 
 def _estimates(

@@ -69,6 +69,15 @@ def test_vehicles_tell_the_plane_they_stand_on():
     assert graph_of(contact_factor(X(0, 0), G(), frame, NOISE)).error(values) > 1.0
 
 
+def test_a_vehicle_that_stands_lower_than_its_pose_is_on_a_plane_that_is_lifted():
+    frame, pose = GroundFrame.of(NORMAL, 1.5), random_pose(np.random.default_rng(3))
+    lower = gtsam.Pose3(pose.rotation(), np.asarray(pose.translation()) + 0.4 * frame.normal)
+    there = contact_factor(X(), G(), frame, NOISE).error(values_of(lower, [0.1, 0.0, 0.0]))
+    here = contact_factor(X(), G(), frame.lifted(0.4), NOISE).error(values_of(pose, [0.1, 0.0, 0.0]))
+    assert here == pytest.approx(there)
+    assert frame.lifted(0.0) is frame
+
+
 def test_the_key_has_a_name():
     assert decode_key(G(3)) == ("G", 0, 3)
     assert key_name(G(3)) == "G(t=3)"

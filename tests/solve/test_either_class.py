@@ -101,6 +101,42 @@ def test_what_an_earlier_frame_says_is_along_the_ray_of_the_later_one(vehicles):
     assert not abs(across @ before.location) > 0.99 * np.linalg.norm(before.location)
 
 
+@pytest.mark.parametrize("taken_for", [0.0, 0.3, 1.0], ids=["a car", "between", "a van"])
+@pytest.mark.parametrize("van", [0.001, 0.2, 0.999])
+def test_it_stands_as_low_as_both_do_on_average(vehicles, taken_for, van):
+    setup = SolveSetup.of("car14", "kitti", None, 1.65)
+    result = fgrecon.reconstruct(vehicles[1], CAMERA, size_prior=OWN, ground=1.65)
+    problem = Problem.of(vehicles[1], CAMERA, setup.model, setup.ground, setup.options)
+    either = either_class(problem, result.camera_T_object, result.shape.coefficients, setup, None)
+    size = either.car_size + taken_for * either.size
+    mean, sigma = either.lower(either.place, size, np.array([0.0, 1.0, 0.0]), np.log(van / (1.0 - van)))
+    heights, shares = np.array([0.0, either.move[1]]), np.array([1.0 - van, van])
+    assert either.move[1] > 0.2, "a van is farther away, and so is lower"
+    assert mean + taken_for * either.move[1] == pytest.approx(shares @ heights, abs=1e-3)
+    assert sigma**2 == pytest.approx(shares @ (heights - shares @ heights) ** 2, abs=1e-3)
+
+
+def test_vans_do_not_draw_the_ground_of_cars_along():
+    """Those of a fleet without vans are cars for sure, and lift the road for all."""
+    prior = load_prior("car14")
+    car, van = prior.for_fleet(SIZE_PRIORS["kitti"]), prior.for_fleet(fgrecon.SizePrior("van", VAN, 0.05 * VAN))
+    places = [np.array([x, 1.65, z]) for x, z in ((-3.0, 24.0), (3.0, 34.0), (-2.0, 16.0), (3.5, 21.0), (-4.0, 30.0))]
+    kinds = [car, car, van, van, van]
+
+    def ground_by(fleet):
+        tracker = fgrecon.Tracker(size_prior=fleet, shared_ground=True)
+        for frame in range(8):
+            shown = {
+                i: observe(kind, yaw_pose(2.0, place), noise=0.3, seed=10 * frame + i)
+                for i, (kind, place) in enumerate(zip(kinds, places, strict=True))
+            }
+            found = tracker.update(0.1 * frame, shown, camera=CAMERA, ground=1.65)
+        return [float(np.linalg.norm(found[i].reconstruction.location - places[i])) for i in (0, 1)]
+
+    drawn, kept = ground_by(OWN), ground_by("kitti")
+    assert max(kept) < 0.75 * max(drawn)
+
+
 def test_a_class_that_the_first_frame_tells_stays(vehicles):
     tracker = fgrecon.Tracker(size_prior="kitti")
     for time, one in enumerate([vehicles[1].with_evidence([VehicleClass("car")]), vehicles[1]]):
