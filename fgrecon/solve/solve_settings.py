@@ -152,6 +152,8 @@ class StatusSettings:
     points_a_keypoint: float = 4.0  # measured points that carry as much as a keypoint; not tuned
     right_keypoints: float = 0.25  # of the measured ones by the detector; a half where it gives no confidences
     off_ground_sigmas: float = 2.0
+    leaning_sigmas: float = 1.5  # of a car on the given ground; chosen on simulated ones: at most 1.1, and 1.5 to 3.6
+    # where the camera that was given as level is rolled by 10 degrees
     outside_image: float = 0.5  # of the vehicle's 2D box
     shape_sigmas: float = 3.0  # of a shape coefficient
     rough_focal_log: float = 0.1

@@ -59,6 +59,10 @@ def weaknesses(
     if ground is not None:
         sigma = ground.height_sigma_at_depth(float(camera_T_object[2, 3]))
         found += off_ground(float(ground.normal @ camera_T_object[:3, 3] - ground.distance), sigma)
+        lean = math.acos(min(float(ground.normal @ camera_T_object[:3, 1]), 1.0))
+        if lean > STATUS.leaning_sigmas * ground.tilt_sigma:
+            sigmas = f"{lean / ground.tilt_sigma:.1f} standard deviations"
+            found.append(f"it leans by {math.degrees(lean):.0f} degrees on the ground, {sigmas}")
     elif in_the_air(camera_T_object):
         found.append(REASONS[InputWarning.AIR])
     if np.linalg.norm(camera_T_object[:3, 3]) > INPUT_WARNINGS.farthest_m:

@@ -10,6 +10,7 @@ import pytest
 import fgrecon
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import exponential
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import KeypointOptions, Options
 from fgrecon.core.reconstruction import Reconstruction, Status
@@ -74,6 +75,29 @@ def test_an_improbable_shape():
     assert reasons_of(coefficients=np.array([0.0, -2.9])) == ()
     assert reasons_of(coefficients=np.array([0.0, -3.1])) == ("its shape is 3.1 standard deviations from the mean",)
     assert reasons_of(coefficients=np.zeros(0)) == ()
+
+
+def test_a_car_that_leans_on_the_ground():
+    """By two standard deviations of the tilt or less than one; of a camera that may be tilted it says nothing."""
+    pose = POSE.copy()
+    pose[:3, :3] = exponential(np.array([0.0, 0.0, np.radians(3.5)])) @ pose[:3, :3]
+    assert reasons_of(camera_T_object=pose) == ("it leans by 4 degrees on the ground, 2.0 standard deviations",)
+    assert reasons_of(camera_T_object=pose, ground=Ground.of_height(1.65)) == ()
+    pose[:3, :3] = exponential(np.array([0.0, 0.0, np.radians(-2.0)])) @ pose[:3, :3]
+    assert reasons_of(camera_T_object=pose) == ()
+
+
+def test_a_rolled_camera_that_is_given_as_level_contradicts_its_cars(prior):
+    """Unlike one that looks down, it leaves them their height."""
+    rolled = np.eye(4)
+    rolled[:3, :3] = exponential(np.array([0.0, 0.0, np.radians(20.0)]))
+    statuses = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        pose = rolled @ yaw_pose(rng.uniform(-np.pi, np.pi), (rng.uniform(-4.0, 4.0), 1.65, rng.uniform(8.0, 20.0)))
+        seen = observe(prior, pose, 0.7 * rng.standard_normal(5), noise=2.0, seed=seed)
+        statuses.append(reconstruct(seen, CAMERA, ground=1.65).status)
+    assert Status.CONVERGED not in statuses
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
