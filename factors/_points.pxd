@@ -42,6 +42,7 @@ cdef class Points(Term):
     cdef double off(self, int k, const double *local, const double *x) noexcept nogil
     cdef void trace(self, const double *x, const View *view, const double *unit, double *met) noexcept nogil
     cdef double elsewhere(self, int i, const double *local, const View *view, double far) noexcept nogil
+    cdef bint goes_on(self, const double *local, const View *view) noexcept nogil
     cdef int measure(
         self, int i, const double *R, const double *t, const double *x, const double *shared, const View *view,
         double *local, double *gain, double *beyond, double *wrong, double *sigma, double *off

@@ -44,6 +44,7 @@ SOURCES = FGRECON_SOURCES  # what it was compiled from, for `factors.native`
 cdef double PI = 3.14159265358979323846, STIFF = STIFFEST, SPREAD = rows.SPREAD, LEAST_COSINE = rows.LEAST_COSINE
 cdef double LONGEST_STEP = rows.LONGEST_STEP, SOFTNESS = rows.SOFTNESS, LEAST_RATIO = rows.LEAST_RATIO
 cdef double FARTHEST = rows.FARTHEST, OUTSIDE = rows.OUTSIDE
+cdef double ON_SIDE = rows.ON_SIDE, CLEAR = rows.CLEAR, LOW = rows.LOW
 cdef double NEAR = rows.NEAR, NEARER = rows.NEARER, NEAREST = rows.NEAREST
 cdef int STEPS = rows.STEPS
 cdef double NOTHING[2]  # zeros: what points share where nothing is known of it
@@ -128,7 +129,7 @@ cdef class Points(Term):
                 each patch its N vectors. along_normal: (P, N), of these along the normal. neighbours: (P, m).
             first: (3,). grid: (X, Y, Z). spacing: of the grid.
             size: (3,). size_basis: (3, N).
-            odds: (8,) numbers of `factors.surface_points.PointOdds` in their order.
+            odds: (10,) numbers of `factors.surface_points.PointOdds` in their order.
             share: Factor on the energy.
             shared: What the variables are that all points share.
         """
@@ -256,7 +257,7 @@ cdef class Points(Term):
             half = self.odds[5] * view.half[a] * fabs(inverse)
             enters, leaves = max(enters, middle - half), min(leaves, middle + half)
         if not leaves > max(enters, 0.0):
-            return 1.0
+            return self.odds[8] if self.along[i] == 0.0 and self.goes_on(local, view) else 1.0
         if self.along[i] > 0.0:
             noise, past = self.along[i] / SOFTNESS, (1.0 - enters) * far
             before = 1.0 / (1.0 + exp(min(max(past / noise, -50.0), 50.0)))
@@ -266,6 +267,24 @@ cdef class Points(Term):
         if inside > self.odds[4]:
             return self.odds[3]
         return self.odds[2] if enters >= 1.0 else 1.0
+
+    cdef bint goes_on(self, const double *local, const View *view) noexcept nogil:
+        """Whether a point is on the plane of a side that the sensor sees, just beyond that side's edges."""
+        cdef int side, other
+        cdef double past, height = -local[1], tall = 2.0 * view.half[1]
+        if not (height > LOW and height < tall + self.odds[9]):
+            return False
+        for side in range(0, 3, 2):
+            other = 2 - side
+            if fabs(view.sensor[side]) <= view.half[side]:
+                continue
+            past = view.half[side] if view.sensor[side] > 0.0 else -view.half[side]
+            if fabs(local[side] - past) >= ON_SIDE:
+                continue
+            past = fabs(local[other]) - view.half[other]
+            if past < self.odds[9] and (past > CLEAR or height > tall + CLEAR):
+                return True
+        return False
 
     cdef int measure(
         self, int i, const double *R, const double *t, const double *x, const double *shared, const View *view,

@@ -8,7 +8,8 @@ m_k + B_k lambda, normal n_k. Which patch that is, is held during a step, as vis
 Nobody says which points are the vehicle's: each is on its surface or anything else (`factors.mixture`). How probable
 anything else is follows from the ray on which the point was measured. One that misses the vehicle may end anywhere; one
 that would hit it seldom ends before it, on what hides it, and hardly ever far inside or behind it, through glass. A
-patch that faces away from the sensor is not measured.
+patch that faces away from the sensor is not measured. Points that go on in the plane of a side beyond its edges are
+rare too: they are those of a wall, and so are the others then.
 
 A point's energy is 0 where it is on the surface and log of the odds, a few nats, where it is anything else.
 
@@ -66,6 +67,10 @@ FARTHEST, OUTSIDE = 5.0, 0.25
 LEAST_RATIO = 0.05
 """Of a point's depth to what was measured."""
 
+ON_SIDE, CLEAR, LOW = 0.2, 0.15, 0.3
+"""Metres from a side's plane at which points are on it; beyond its edges, where they are not the vehicle's; and above
+the ground, below which they may be the ground's."""
+
 
 @dataclass(frozen=True)
 class PointOdds:
@@ -79,10 +84,12 @@ class PointOdds:
     core: float  # share of length, width and height of a cuboid that is inside the vehicle
     reach: float  # metres along the surface from a patch's centre that it reaches,
     reach_sigma: float  # and over which it ends
+    beyond: float  # how dense points that are anything else are where a side would go on beyond its edges
+    edge: float  # metres beyond the edges up to which they are looked at
 
     @cached_property
     def numbers(self) -> Array:
-        """(8,) all of them, in this order."""
+        """(10,) all of them, in this order."""
         return np.array([getattr(self, field.name) for field in fields(self)])
 
 
@@ -233,7 +240,8 @@ class PointRows(KernelRows):
         enters, leaves = _crossing(sensor, ray, middle, half)
         hits = leaves > np.maximum(enters, 0.0)
         inside = (np.minimum(leaves, 1.0) - np.maximum(enters, 0.0)) * far
-        sharp = np.where(hits & (enters >= 1.0), self.odds.before, 1.0)
+        sharp = np.where((self.along == 0.0) & self._goes_on(local, sensor, size), self.odds.beyond, 1.0)
+        sharp = np.where(hits, np.where(enters >= 1.0, self.odds.before, 1.0), sharp)
         sharp = np.where(hits & (inside > self.odds.deepest), self.odds.through, sharp)
         if not self.along.any():
             return sharp
@@ -243,6 +251,16 @@ class PointRows(KernelRows):
         deep = 1.0 / (1.0 + np.exp(np.clip((self.odds.deepest - past) / noise, -50.0, 50.0)))
         soft = 1.0 + before * (self.odds.before - 1.0) + deep * (self.odds.through - 1.0)
         return np.where((self.along > 0.0) & hits, soft, sharp)
+
+    def _goes_on(self, local: Array, sensor: Array, size: Array) -> NDArray[np.bool_]:
+        """(M,) which points are on the plane of a side that the sensor sees, just beyond that side's edges."""
+        half, height, found = size[[0, 2, 1]] / 2.0, -local[:, 1], np.zeros(len(local), dtype=np.bool_)
+        near = (height > LOW) & (height < size[2] + self.odds.edge)
+        for side, other in ((0, 2), (2, 0)):
+            plane, past = np.copysign(half[side], sensor[side]), np.abs(local[:, other]) - half[other]
+            on = (np.abs(sensor[side]) > half[side]) & (np.abs(local[:, side] - plane) < ON_SIDE)
+            found |= on & (past < self.odds.edge) & ((past > CLEAR) | (height > size[2] + CLEAR))
+        return found & near
 
     def distances(
         self,

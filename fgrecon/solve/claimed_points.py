@@ -19,6 +19,8 @@ from fgrecon.core.observation import Observation
 from fgrecon.solve.graph.multi_start import MultiStartResult
 from fgrecon.solve.proposals.point_term import POINTS, POINTS_NAME
 
+_WRONG_SIGMAS = 5.0  # by how many standard deviations a wrong keypoint is off
+
 
 def without_claimed(
     observations: Mapping[int, Observation], ends: Mapping[int, MultiStartResult]
@@ -51,9 +53,16 @@ def inside(points: Array, end: MultiStartResult) -> NDArray[np.bool_]:
 
 
 def _picture_energy(end: MultiStartResult) -> float:
-    """What all but the points say against where a vehicle is, nats."""
-    energies = end.graph.energies(end.optimum.values, end.optimum.state.weights)
-    return sum(energy for name, energy in energies.items() if name != POINTS_NAME)
+    """What all but the points say against where a vehicle is, nats.
+
+    Of its keypoints it counts how much better they fit there than wrong ones: what these cost depends on the detector.
+    """
+    weights = end.optimum.state.weights
+    energies = end.graph.energies(end.optimum.values, weights)
+    term = end.graph.observations[0].problem.energy.keypoints
+    squares = np.full(len(term.mean), _WRONG_SIGMAS**2)
+    _, wrong = term.strategy.evaluate(squares, term.evidence, weights[0].visibility)
+    return sum(energy for name, energy in energies.items() if name != POINTS_NAME) - float(wrong)
 
 
 def _without(observation: Observation, owner: MultiStartResult) -> Observation:

@@ -16,7 +16,18 @@ from factors.placed_points import PlacedPointsFactor
 from factors.surface_patches import SurfacePatches
 from factors.surface_points import PointOdds, PointRows, Shared, SurfacePointsFactor
 
-ODDS = PointOdds(vehicle=0.5, span=4.0, before=0.3, through=0.05, deepest=0.5, core=0.85, reach=0.1, reach_sigma=0.12)
+ODDS = PointOdds(
+    vehicle=0.5,
+    span=4.0,
+    before=0.3,
+    through=0.05,
+    deepest=0.5,
+    core=0.85,
+    reach=0.1,
+    reach_sigma=0.12,
+    beyond=0.1,
+    edge=0.5,
+)
 FACES = np.array(
     [
         [0, 1, 3],
@@ -236,6 +247,22 @@ def test_points_far_inside_or_behind_cost_more_than_those_beside(rows: PointRows
         match = one.match(*state)
         energies.append(one.assess(match, one.distances(match, *state, want=False)[0])[1])
     assert energies[1] - energies[0] == pytest.approx(0.5 * np.log(1.0 / ODDS.through), rel=1e-3)
+
+
+@pytest.mark.parametrize("numpy", [False, True])
+def test_points_where_a_side_goes_on_beyond_its_edges_cost_more_than_others(rows: PointRows, numpy: bool) -> None:
+    sensor = np.sign(-POSE.rotation().matrix().T @ POSE.translation())
+    on = np.array([-2.3, -0.8, 0.9]), np.array([2.0, -1.8, 0.3])  # past the far end of a side; above the near end
+    off = np.array([-2.3, -0.8, 1.4]), np.array([-2.6, -0.8, 0.9]), np.array([-2.3, -0.1, 0.9])  # aside, far, low
+    state = POSE.rotation().matrix(), POSE.translation(), np.zeros(2)
+    wrong = []
+    for local in (*on, *off):
+        place = POSE.transformFrom(local * [sensor[0], 1.0, sensor[2]])
+        one = replace(rows, points=place[None], sigma=np.array([0.05]), along=np.zeros(1))
+        if numpy:
+            one.__dict__["compiled"] = None
+        wrong.append(one.match(*state).wrong[0])
+    assert wrong == pytest.approx([ODDS.beyond * wrong[2]] * 2 + [wrong[2]] * 3)
 
 
 def test_constants_are_no_variables(rows: PointRows) -> None:

@@ -176,11 +176,28 @@ def test_a_vehicle_without_keypoints() -> None:
     assert turn < np.deg2rad(6.0)
 
 
-@pytest.mark.parametrize("aside", [0.0, 0.4])
-def test_a_hidden_vehicle_leaves_the_points_of_the_one_before_it(aside: float) -> None:
-    """By itself it is five metres too near, on the other's points."""
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_vehicle_whose_end_shows_behind_a_wall_is_not_the_wall(seed: int) -> None:
+    """Its 2D box is that of all of it, and most of the points in there are the wall's."""
+    observation, points = scanned(-0.1, PLACE, seed, count=160)
+    assert observation.box is not None
+    shown = CAMERA.project(points)[:, 0] < observation.box[0] + 0.5 * (observation.box[2] - observation.box[0])
+    left = (observation.box[0] + 0.55 * (observation.box[2] - observation.box[0]) - 600.0) / 700.0
+    x, y = np.meshgrid(np.arange(13.0 * left, 13.0 * left + 6.0, 0.15), np.arange(-1.5, 1.6, 0.15))
+    wall = np.stack([x.ravel(), y.ravel(), np.full(x.size, 13.0)], axis=1)
+    none = replace(observation, keypoints=np.full((14, 2), np.nan))
+    scan = Points(np.concatenate([points[shown], wall]))
+    found = reconstruct(none, CAMERA, ground=1.65, size_prior="kitti", options=OPTIONS, evidence=[scan])
+    assert np.linalg.norm(found.location - PLACE) < 0.3
+
+
+@pytest.mark.parametrize(("aside", "blind"), [(0.0, False), (0.4, False), (0.4, True)])
+def test_a_hidden_vehicle_leaves_the_points_of_the_one_before_it(aside: float, blind: bool) -> None:
+    """By itself it is five metres too near, on the other's points, though none of its keypoints be measured."""
     places = PLACE, PLACE + np.array([aside, 0.0, 4.5])
     (front, points), (back, few) = (scanned(-1.5, place, seed) for seed, place in enumerate(places, start=1))
+    if blind:
+        back = replace(back, keypoints=np.full((14, 2), np.nan))
     options = Options(keep_history=False, box="cuboid")
     scan = Points(np.concatenate([points, few[:5]]))
     scene = reconstruct_scene([front, back], CAMERA, ground=1.65, size_prior="kitti", options=options, evidence=[scan])

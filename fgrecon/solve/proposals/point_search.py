@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from factors.surface_points import PointRows, Shared
+from fgrecon.core.arrays import Array
 from fgrecon.solve.proposals.point_term import PointTerm
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import SearchResult, best_of, search
@@ -96,10 +97,8 @@ def _around(problem: Problem) -> Hypotheses:
 
 def _starts(problem: Problem, pictured: Hypotheses) -> Hypotheses:
     """The picture's poses, and all of them at the depths at which points begin, as several kinds of vehicles."""
-    squares = np.concatenate([np.square(one.rows.points).sum(axis=1) for one in problem.energy.points])
-    ranges, ranks = np.sqrt(np.sort(squares)), np.arange(len(squares))
-    depths = np.interp(np.array(POINTS.start_quantiles) * ranks[-1], ranks, ranges).round(1)  # np.quantile takes longer
-    metres = (np.unique(depths)[:, None] + POINTS.start_offsets_m).ravel()
+    depths = _begins(np.concatenate([np.square(one.rows.points).sum(axis=1) for one in problem.energy.points]))
+    metres = (depths[:, None] + POINTS.start_offsets_m).ravel()
     far = np.linalg.norm(pictured.translation, axis=1)
     moved = pictured.translation * (metres[:, None] / far)[..., None]  # (depths, H, 3)
     count = 1 + len(metres)
@@ -112,3 +111,18 @@ def _starts(problem: Problem, pictured: Hypotheses) -> Hypotheses:
     larger = model.by_size @ (np.array(POINTS.larger_size_m) - model.dimension_mean)
     grown = Hypotheses(every.rotation, every.translation, np.broadcast_to(larger, every.coefficients.shape).copy())
     return Hypotheses.joined([every, grown])
+
+
+def _begins(squares: Array) -> Array:
+    """(M,) distances at which vehicles may begin, metres, by the squares of all points' distances.
+
+    Where points begin again behind a gap, of most points first: a vehicle that shows few is behind what hides it.
+    """
+    ranges = np.sqrt(np.sort(squares))
+    first = np.flatnonzero(np.diff(ranges, prepend=-np.inf) > POINTS.start_gap_m)
+    count = np.diff(first, append=len(ranges))
+    most = np.argsort(-count, kind="stable")[: POINTS.start_clusters]
+    behind = ranges[first[most[count[most] >= POINTS.least_points]]]
+    ranks = np.array(POINTS.start_quantiles) * (len(ranges) - 1)
+    among = np.interp(ranks, np.arange(len(ranges)), ranges)  # np.quantile takes longer
+    return np.unique(np.concatenate([behind, among]).round(1))

@@ -61,7 +61,18 @@ class RestartSettings:
     """Searches before the azimuths come again."""
 
 
-_ODDS = PointOdds(vehicle=0.5, span=4.0, before=0.3, through=0.05, deepest=0.5, core=0.85, reach=0.1, reach_sigma=0.12)
+_ODDS = PointOdds(
+    vehicle=0.5,
+    span=4.0,
+    before=0.3,
+    through=0.05,
+    deepest=0.5,
+    core=0.85,
+    reach=0.1,
+    reach_sigma=0.12,
+    beyond=0.1,
+    edge=0.5,
+)
 
 
 @dataclass(frozen=True)
@@ -101,8 +112,12 @@ class PointSettings:
     """Of the 2D box's longer side, by which it is enlarged to choose points; not tuned."""
     heights_m: tuple[float, float] = (1.0, 5.0)
     """Heights of vehicles that fill a 2D box at the nearest and the farthest depth from which points are taken."""
-    start_quantiles: tuple[float, ...] = (0.1, 0.25, 0.5, 0.75)
+    start_quantiles: tuple[float, ...] = (0.25, 0.5, 0.75)
     """Of the points' distances, at which vehicles may begin; not tuned."""
+    start_gap_m: float = 1.0
+    """Of distances without points, behind which vehicles may begin as well; chosen on drive 0001, 0.7 is alike."""
+    start_clusters: int = 4
+    """Of points between such gaps, the largest; 3 and 6 are alike."""
     start_offsets_m: tuple[float, ...] = (1.0, 2.0)
     """From there to a vehicle's middle; not tuned."""
     azimuths: int = 8
