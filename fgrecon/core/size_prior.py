@@ -36,6 +36,8 @@ class SizePrior:
         allowed: (3,) standard deviations that a solve allows, metres; None for `sigma`. Keypoints err together and
             count too much in a solve, so that less than the fleet's own may be best.
         classes: Of vehicles that it is the sizes of; empty for a fleet's.
+        own: (3, 3) covariance within a class, about the class's own mean, square metres: what covariances count where
+            another class is counted beside it; None for that of `sigma`.
         mixed: Whether the fleet's vans count as well as its cars: which a vehicle is, its image says
             (`fgrecon.solve.fitted_class`).
     """
@@ -46,6 +48,7 @@ class SizePrior:
     traffic: NDArray[np.float64] | None = None
     allowed: NDArray[np.float64] | None = None
     classes: tuple[str, ...] = ()
+    own: NDArray[np.float64] | None = None
     mixed: bool = False
 
     def __post_init__(self) -> None:
@@ -66,12 +69,14 @@ class SizePrior:
                     raise InvalidInputError(f"size_prior.{field}", array.tolist(), f"Give metres, up to {_WIDEST:g}.")
                 array = np.maximum(array, _KNOWN)
             object.__setattr__(self, field, own(array))
-        if self.traffic is not None:
-            moment = as_finite("size_prior.traffic", self.traffic, (3, 3))
+        for field in ("traffic", "own"):
+            if getattr(self, field) is None:
+                continue
+            moment = as_finite(f"size_prior.{field}", getattr(self, field), (3, 3))
             wide = np.abs(moment).max() > _WIDEST**2
             if wide or not np.array_equal(moment, moment.T) or np.linalg.eigvalsh(moment)[0] <= 0.0:
-                raise InvalidInputError("size_prior.traffic", moment.tolist(), "Give a covariance, square metres.")
-            object.__setattr__(self, "traffic", own(moment))
+                raise InvalidInputError(f"size_prior.{field}", moment.tolist(), "Give a covariance, square metres.")
+            object.__setattr__(self, field, own(moment))
 
     @property
     def larger(self) -> tuple[str, ...]:
@@ -86,12 +91,17 @@ class SizePrior:
     @property
     def as_in_traffic(self) -> SizePrior:
         """The same with standard deviations in a solve that are those of `spread`."""
-        return replace(self, allowed=np.sqrt(np.diag(self.spread)))
+        return replace(self, allowed=np.sqrt(np.diag(self.spread)), own=self.spread)
 
     @property
     def spread(self) -> NDArray[np.float64]:
         """(3, 3) how far sizes are from `mean` in covariances, square metres: of the traffic, or else of the fleet."""
         return np.diag(self.sigma**2) if self.traffic is None else self.traffic
+
+    @property
+    def own_spread(self) -> NDArray[np.float64]:
+        """(3, 3) the same of one class alone."""
+        return np.diag(self.sigma**2) if self.own is None else self.own
 
 
 _FLEETS = np.array([0.08, 0.09, 0.07])
@@ -183,15 +193,17 @@ class ClassSizes:
         small = sum(p for one, p in probabilities.items() if one in _SMALL) >= 0.5 * sum(probabilities.values())
         likely = {one: p for one, p in probabilities.items() if p > 0.0 and (one in _SMALL) == small}
         total = sum(likely.values())
-        mean, covariance = np.zeros(3), np.zeros((3, 3))
+        mean, covariance, within = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
         for one, p in likely.items():
             mean += p / total * means[one]
+            within += p / total * covariances[one]
         for one, p in likely.items():
             covariance += p / total * (covariances[one] + np.outer(means[one] - mean, means[one] - mean))
+        own = covariance if not small else within  # classes of larger vehicles are not counted one beside the other
         sigma = np.sqrt(np.diag(covariance))
         name = ", ".join(f"{one} {p / total:.2f}" if len(likely) > 1 else one for one, p in likely.items())
         moment, allowed = (covariance + covariance.T) / 2.0, sigma * np.array([1.0, 1.0, _HEIGHT_ALLOWED])
-        return SizePrior(name, mean, sigma, moment, allowed, tuple(likely))
+        return SizePrior(name, mean, sigma, moment, allowed, tuple(likely), (own + own.T) / 2.0)
 
 
 _KITTI = SizePrior(

@@ -21,12 +21,12 @@ import numpy as np
 from fgrecon.core.arrays import Array
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.robust import StrategyName
 from fgrecon.solve.fitted_class import FittedClass, is_open, log_odds_of_van, odds_before_image
 from fgrecon.solve.graph.graph import EXTRA, Graph, GraphObservation, State
 from fgrecon.solve.graph.mode_selection import is_flipped
 from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.optimise import Optimum, optimise
+from fgrecon.solve.graph.vehicle_part import counts_classes
 from fgrecon.solve.inputs import SolveSetup, has_points
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import SCENE
@@ -44,6 +44,8 @@ class EitherClass:
     keypoints: Array  # (K, 3) the same in metres, in the vehicle's own frame
     size: Array  # (3,) and of length, width and height
     car_size: Array  # (3,) these of the car
+    car_more: float  # by how much the sizes of cars spread more than covariances count, in shares of `size`, squared
+    van_more: float  # and those of vans
 
     def added_to(self, result: Reconstruction, log_odds: float) -> Reconstruction:
         """A result with covariances for both classes.
@@ -61,7 +63,8 @@ class EitherClass:
         ):
             return result
         van, at = _probability(log_odds), self._at(result.shape.box_size)
-        spread = (1.0 - van) * at**2 + van * (1.0 - at) ** 2
+        more = (1.0 - van) * self.car_more + van * self.van_more
+        spread = (1.0 - van) * at**2 + van * (1.0 - at) ** 2 + max(more, 0.0)
         pose = np.concatenate([self.turn, result.camera_T_object[:3, :3].T @ self._moved(result.location)])
         shifts = self.keypoints[:, :, None] * self.keypoints[:, None, :]
         uncertainty = replace(
@@ -125,8 +128,7 @@ def either_class(
     with_vans = setup.fleet is not None and setup.fleet.traffic is not None
     doubted = with_vans if classes is None else is_open(classes)
     larger = problem.model.size is not None and bool(problem.model.size.larger)
-    mixture = options.strategy.name is StrategyName.MIXTURE and options.shape.joint
-    usual = doubted and mixture and not larger and not has_points([observation])
+    usual = doubted and counts_classes(options) and not larger and not has_points([observation])
     if not usual or not np.isfinite(camera_T_object).all():
         return None
     if alone is not None and classes is None:
@@ -140,7 +142,7 @@ def either_class(
         log_odds = math.log(classes["van"] / classes["car"])  # with its image already
     else:
         log_odds = log_odds_of_van(sum(odds_before_image(classes)), car.energy, van.energy)
-    return _between(car, van, log_odds, problem)
+    return _between(car, van, log_odds, problem, setup)
 
 
 def with_either_class(result: Reconstruction, problem: Problem, setup: SolveSetup, alone: Optimum) -> Reconstruction:
@@ -210,9 +212,10 @@ def _solved_as(
     return _Solved.of(optimum, made)
 
 
-def _between(car: _Solved, van: _Solved, log_odds: float, problem: Problem) -> EitherClass:
+def _between(car: _Solved, van: _Solved, log_odds: float, problem: Problem, setup: SolveSetup) -> EitherClass:
     """What lies between both."""
     rotation, apart = car.pose.rotation().between(van.pose.rotation()), van.keypoints - car.keypoints
+    size = van.size - car.size
     turned = is_flipped(car.pose.matrix(), van.pose.matrix())  # which the facing says
     return EitherClass(
         log_odds,
@@ -221,6 +224,19 @@ def _between(car: _Solved, van: _Solved, log_odds: float, problem: Problem) -> E
         van.pose.translation() - car.pose.translation(),
         problem.model.by_keypoints @ apart.ravel(),
         apart,
-        van.size - car.size,
+        size,
         car.size,
+        *(_spreads_more(name, size, problem, setup) for name in ("car", "van")),
     )
+
+
+def _spreads_more(name: str, size: Array, problem: Problem, setup: SolveSetup) -> float:
+    """By how much the sizes of a class spread more along the way (3,) from car to van than those of the model do.
+
+    In shares of the way, squared.
+    """
+    counted, own = problem.model.size, setup.model_as(name).size
+    if counted is None or own is None:
+        return 0.0
+    way = max(float(size @ size), 1e-12)
+    return float(size @ (own.own_spread - counted.own_spread) @ size) / way**2

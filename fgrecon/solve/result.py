@@ -60,7 +60,7 @@ class Marginalised:
     values: gtsam.Values  # all variables
     weights: Sequence[Weights]  # those with which each observation counts for covariances
     # of the variables, sizes counted once; None where a direction is not determined, or there is no end
-    marginals: gtsam.Marginals | Spread | None
+    marginals: Spread | None
 
 
 def marginalise(graph: Graph, optimum: Optimum, at_once: Collection[int] | None = None) -> Marginalised:
@@ -122,7 +122,7 @@ def results(
     values = optimum.values if graph is adjusted.graph else known.values
     found: list[Reconstruction] = []
     shapes: dict[int, Array] = {}
-    without: dict[str, gtsam.Marginals | Spread | None] = {}  # what is known without a kind of evidence
+    without: dict[str, Spread | None] = {}  # what is known without a kind of evidence
     if known.marginals is not None and only is None:
         for name in dict.fromkeys(one.name for one in graph.sensed):
             without[name] = marginals_of(graph, known.values, known.weights, silent=name)
@@ -157,7 +157,7 @@ def _structure(graph: Graph, index: int, weights: Sequence[Weights]) -> Sequence
 
 
 def _gained(
-    graph: Graph, index: int, uncertainty: Covariances, without: Mapping[str, gtsam.Marginals | Spread | None]
+    graph: Graph, index: int, uncertainty: Covariances, without: Mapping[str, Spread | None]
 ) -> dict[str, float]:
     """By how many times each kind of evidence makes a position's standard deviation smaller.
 

@@ -4,12 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import fgrecon
+from fgrecon.calibration.regions import normalised_squared_error
+from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import position_covariance
+from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.options import KeypointOptions, Options, ShapeOptions
+from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.size_prior import SizePrior, other_fleets, size_prior
-from fgrecon.io.catalogue import load_prior
+from fgrecon.io.catalogue import load_prior, shipped_class_sizes
+from fgrecon.simulation.vehicles import Vehicle, simulate
+from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.vehicle.model import prepare
 from tests.cars import CAMERA, observe, yaw_pose
 
@@ -79,6 +87,46 @@ def test_sizes_are_as_uncertain_as_those_of_the_traffic():
     assert np.trace(with_vans.uncertainty.pose_covariance[3:, 3:]) > np.trace(alone.uncertainty.pose_covariance[3:, 3:])
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")  # one car in a hundred
+@pytest.mark.parametrize("name", ["car", "van"])
+def test_regions_hold_for_vehicles_drawn_as_the_solve_has_them(name):
+    """Shapes, noise and heights are those of the model: what regions hold is as often as they say, but for chance."""
+    rng, count = np.random.default_rng(7), 120
+    setup, ground = SolveSetup.of("car14", "kitti", None), Ground.level(1.65)
+    model = setup.model_as(name)
+    spread = model.spread_of(shipped_class_sizes().covariance[name])
+    inside = {quantity: np.zeros(2) for quantity in ("position", "yaw", "size")}
+    for _ in range(count):
+        shape = rng.multivariate_normal(np.zeros(len(spread)), spread, method="cholesky")
+        depth = rng.uniform(8.0, 40.0)
+        height = 1.65 + ground.height_sigma_at_depth(depth) * rng.normal()
+        pose = yaw_pose(rng.uniform(-np.pi, np.pi), np.array([rng.uniform(-0.4, 0.4) * depth, height, depth]))
+        _, truth = simulate(Vehicle.of_prior(model.prior, shape), CAMERA, pose, rng)
+        extent = max(truth.box[2] - truth.box[0], truth.box[3] - truth.box[1])
+        seen = fgrecon.Observation(
+            truth.projections + np.hypot(0.035 * extent, 1.0) * rng.normal(size=(14, 2)),
+            np.full(14, 0.99),
+            truth.box + np.hypot(0.02 * extent, 1.5) * rng.normal(size=4),
+        ).with_evidence([fgrecon.VehicleClass(name)])
+        found = fgrecon.reconstruct(seen, CAMERA, ground=ground, size_prior="kitti")
+        known = found.uncertainty
+        off = {
+            "position": (
+                found.location - pose[:3, 3],
+                position_covariance(found.camera_T_object, known.pose_covariance),
+            ),
+            "yaw": (
+                wrap_angle(rotation_y(found.camera_T_object) - rotation_y(pose))[None],
+                known.pose_covariance[1:2, 1:2],
+            ),
+            "size": (found.box_size - model.prior.box_size(shape), known.size_covariance),
+        }
+        for quantity, (error, covariance) in off.items():
+            inside[quantity] += normalised_squared_error(error, covariance) < chi2.ppf([0.68, 0.95], len(error))
+    for quantity, hits in inside.items():
+        assert (np.abs(hits / count - [0.68, 0.95]) < [0.165, 0.08]).all(), quantity  # 8 points, and chance
+
+
 def test_where_no_fleet_is_given_it_may_be_another_one():
     """The prior and regions are wider by that; a size that is given is known."""
     given, prior = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5), load_prior("car14")
@@ -87,7 +135,7 @@ def test_where_no_fleet_is_given_it_may_be_another_one():
     sizes = basis @ model.any_fleet_spread @ basis.T
     np.testing.assert_allclose(sizes, basis @ basis.T + other_fleets(mean), rtol=1e-9)
     known = SizePrior("known", mean, np.full(3, 0.01))
-    np.testing.assert_array_equal(prepare(prior, known).traffic_spread, np.eye(prior.dimension))
+    assert prepare(prior, known).size_errors is None
     results = {}
     for name, size in (("assumed", None), ("its own", SizePrior("its own", mean, np.sqrt(np.diag(basis @ basis.T))))):
         results[name] = fgrecon.reconstruct(given, CAMERA, size_prior=size)

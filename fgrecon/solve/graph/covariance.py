@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -42,14 +42,45 @@ class Covariances:
 
 @dataclass(frozen=True)
 class Spread:
-    """Covariances of variables of a graph by one factorisation."""
+    """Covariances of variables of a graph at its minimum.
 
-    places: dict[int, slice]  # where a step has each variable, by key
-    of: Callable[[NDArray[np.intp]], Array]  # the covariance (m, m) by indices (m,) of a step
+    A solve takes sizes for surer than they are (`VehiclePart.size_error`). How far off that makes it is in them, but
+    for what the sizes of others do where vehicles share the ground or the focal length.
+    """
+
+    solved: Callable[[Sequence[int]], Array]  # joint covariance by keys, if sizes were as sure as the solve takes them
+    # of each vehicle by its number: the key of lambda, and how much more that moves the minimum
+    sizes: Mapping[int, tuple[int, Array]] = field(default_factory=dict)
+
+    @classmethod
+    def by_gtsam(cls, marginals: gtsam.Marginals, sizes: Mapping[int, tuple[int, Array]] | None = None) -> Spread:
+        """From GTSAM's marginals."""
+
+        def joint(keys: Sequence[int]) -> Array:
+            distinct = list(dict.fromkeys(keys))
+            if len(distinct) == 1:
+                return np.tile(marginals.marginalCovariance(distinct[0]), (len(keys), len(keys)))
+            found = marginals.jointMarginalCovariance(gtsam.KeyVector(distinct))
+            return np.concatenate([np.concatenate([found.at(a, b) for b in keys], axis=1) for a in keys])
+
+        return cls(joint, {} if sizes is None else sizes)
 
     def joint(self, keys: Sequence[int]) -> Array:
         """Of several variables, in the order of their keys."""
-        return self.of(np.concatenate([np.arange(self.places[key].start, self.places[key].stop) for key in keys]))
+        if not keys:
+            return np.zeros((0, 0))
+        numbers = {_vehicle(key) for key in keys}
+        sizes = [one for number, one in self.sizes.items() if None in numbers or number in numbers]
+        joint: Array | None = None
+        added: Array | float = 0.0
+        for key, error in sizes:
+            try:
+                whole = self.solved([*keys, key])
+            except KeyError:  # nothing is about both
+                continue
+            joint, by_size = whole[: -len(error), : -len(error)], whole[: -len(error), -len(error) :]
+            added = added + by_size @ error @ by_size.T
+        return self.solved(keys) if joint is None else joint + added
 
 
 def _covariance(information: Array, least: float) -> Callable[[NDArray[np.intp]], Array] | None:
@@ -75,37 +106,54 @@ def marginals_of(
     weights: Sequence[Weights],
     selected: Collection[int] | None = None,
     *,
-    counted_once: bool = True,
+    as_assumed: bool = False,
     silent: str | None = None,
-) -> gtsam.Marginals | Spread | None:
+) -> Spread | None:
     """What is known of a graph's variables at its minimum; None where it does not determine them.
 
     Args:
         values: Its minimum.
         weights: Weights of each observation there.
         selected: Keys of the variables that are needed; None for all.
-        counted_once: Whether sizes are (`Graph.for_covariances`).
+        as_assumed: Whether sizes are as sure as the solve takes them.
         silent: Name of what other sensors say that counts for nothing.
     """
     system, least = graph.weighted(values, weights, silent=silent), SETTINGS.undetermined_share
+    sizes = {} if as_assumed else _size_errors(graph)
     if isinstance(system, CompiledSystem):
-        found = system.covariance(system.point(values), least, selected, second=counted_once)
+        found = system.covariance(system.point(values), least, selected)
     elif selected is not None or system.size <= _SMALL:
-        found = _covariance(system.information(values, second=counted_once), least)
+        found = _covariance(system.information(values), least)
     else:
         try:
-            return gtsam.Marginals(system.linear(values, second=counted_once)[0], values)
+            return Spread.by_gtsam(gtsam.Marginals(system.linear(values)[0], values), sizes)
         except RuntimeError:  # GTSAM's only sign of an indeterminate system
             return None
-    return None if found is None else Spread(system.places, found)
+    if found is None:
+        return None
+    of, places = found, system.places
+    return Spread(lambda keys: of(np.concatenate([_indices(places[key]) for key in keys])), sizes)
 
 
-def covariance_of(marginals: gtsam.Marginals | Spread | None, key: int) -> Array | None:
+def _size_errors(graph: Graph) -> dict[int, tuple[int, Array]]:
+    found = {}
+    for number, vehicle in graph.vehicles.items():
+        key, error = vehicle.shape.coefficients_key, vehicle.size_error
+        if key is not None and error is not None:
+            found[number] = key, error
+    return found
+
+
+def _indices(place: slice) -> NDArray[np.intp]:
+    return np.arange(place.start, place.stop)
+
+
+def covariance_of(marginals: Spread | None, key: int) -> Array | None:
     """The covariance of a variable; None where there are no marginals, or it is not finite or cannot be had."""
     if marginals is None:
         return None
     try:
-        covariance = joint_covariance(marginals, [key])
+        covariance = marginals.joint([key])
     except FactorCallbackError:
         raise
     except (RuntimeError, np.linalg.LinAlgError):  # as in `read_covariances`: others may be determined, this one is not
@@ -151,7 +199,7 @@ def read_covariances(
     part: ObservationPart,
     weights: Weights,
     values: gtsam.Values,
-    marginals: gtsam.Marginals | Spread | None,
+    marginals: Spread | None,
     shapes: dict[int, Array] | None = None,
 ) -> Covariances | None:
     """What the marginals say of an observation; None where they are not there, not finite, or cannot be had.
@@ -172,12 +220,12 @@ def read_covariances(
     shapes = {} if shapes is None else shapes
     try:
         if number not in shapes:
-            shapes[number] = joint_covariance(marginals, list(shape.keys))
+            shapes[number] = marginals.joint(list(shape.keys))
         variables = shapes[number]
         if part.share < 1.0:
-            pose = _given_shape(part, weights, values, joint_covariance(marginals, [part.pose_key, *shape.keys]))
+            pose = _given_shape(part, weights, values, marginals.joint([part.pose_key, *shape.keys]))
         else:
-            pose = joint_covariance(marginals, [part.pose_key])
+            pose = marginals.joint([part.pose_key])
     except FactorCallbackError:
         raise
     except (RuntimeError, np.linalg.LinAlgError):  # the only signs of an indeterminate system
@@ -191,9 +239,7 @@ def read_covariances(
     return Covariances(pose, lambdas, keypoints, by_variables @ variables @ by_variables.T)
 
 
-def projected_covariances(
-    part: ObservationPart, values: gtsam.Values, marginals: gtsam.Marginals | Spread
-) -> Array | None:
+def projected_covariances(part: ObservationPart, values: gtsam.Values, marginals: Spread) -> Array | None:
     """(K, 2, 2) covariances of an observation's projected keypoints, pose and shape together, square pixels.
 
     What pose and shape are unsure of is not independent: an image that leaves open which of them moves a keypoint may
@@ -208,7 +254,7 @@ def projected_covariances(
         The covariances; None where they are not finite or cannot be had.
     """
     try:
-        joint = joint_covariance(marginals, list(part.keys))
+        joint = marginals.joint(list(part.keys))
     except FactorCallbackError:
         raise
     except RuntimeError:  # GTSAM's only sign of an indeterminate system
@@ -233,15 +279,3 @@ def _given_shape(part: ObservationPart, weights: Weights, values: gtsam.Values, 
     alone = np.linalg.inv(information + left_out[:6, :6])
     by_shape = alone @ (information @ by_shape - left_out[:6, 6:])
     return alone + by_shape @ shape @ by_shape.T
-
-
-def joint_covariance(marginals: gtsam.Marginals | Spread, keys: list[int]) -> Array:
-    """Of several variables, in the order of their keys."""
-    if not keys:
-        return np.zeros((0, 0))
-    if isinstance(marginals, Spread):
-        return marginals.joint(keys)
-    if len(keys) == 1:
-        return marginals.marginalCovariance(keys[0])
-    joint = marginals.jointMarginalCovariance(gtsam.KeyVector(keys))
-    return np.concatenate([np.concatenate([joint.at(a, b) for b in keys], axis=1) for a in keys])

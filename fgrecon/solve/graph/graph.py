@@ -272,24 +272,19 @@ class Graph:
         own = [factor for vehicle in self.vehicles.values() for factor in vehicle.solved]
         return [*own, *self.shared.priors]
 
-    @property
-    def _counted_once(self) -> list[gtsam.NonlinearFactor]:
-        own = [factor for vehicle in self.vehicles.values() for factor in vehicle.counted_once]
-        return [*own, *self.shared.priors]
-
     def system(self, values: gtsam.Values) -> CompiledSystem | MixedSystem:
-        """All factors of its variables, and as the other graph those with sizes counted once; made once."""
+        """All factors of its variables; made once."""
         if self._system is None:
             observed = [part.compiled or part.factor for part in self.observations if part.keys]
             both = [*observed, *self._sensed_factors, *self.extra]
             if (rows := self._alone(both)) is None:
-                self._system = system_of([*both, *self._own], values, [*both, *self._counted_once])
+                self._system = system_of([*both, *self._own], values)
                 return self._system
             vehicle = self.observations[0].vehicle
             if vehicle.alone is not None and vehicle.alone.variables == rows.variables:
                 self._system = vehicle.alone.with_rows(rows)
             else:
-                self._system = system_of([rows, *self._own], values, [rows, *self._counted_once])
+                self._system = system_of([rows, *self._own], values)
                 vehicle.alone = self._system if isinstance(self._system, CompiledSystem) else None
         return self._system
 
@@ -373,14 +368,14 @@ class Graph:
         return graph
 
     def for_covariances(self, weights: Sequence[Weights]) -> gtsam.NonlinearFactorGraph:
-        """All factors with these weights, sizes counted once (`VehiclePart.counted_once`)."""
-        every = [*self._observed, *self._counted_once, *self._sensed_factors, *self.extra]
+        """All factors with these weights, where what other sensors say counts as it does for covariances."""
+        every = [*self._observed, *self._own, *self._sensed_factors, *self.extra]
         return self._built(every, weights, Form.WEIGHTED, common=True)
 
     def weighted(
         self, values: gtsam.Values, weights: Sequence[Weights], *, silent: str | None = None
     ) -> CompiledSystem | MixedSystem:
-        """The factors with these weights until others are set; the other graph is that of `for_covariances`.
+        """The factors of `for_covariances` with these weights until others are set.
 
         What other sensors say by the `silent` name counts for nothing.
         """

@@ -15,7 +15,7 @@ zero and are not built.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache
 from threading import get_ident
 
@@ -32,6 +32,7 @@ from factors.shape_terms import STACKED, ShapeTerms
 from factors.system import CompiledSystem
 from fgrecon.core.arrays import Array
 from fgrecon.core.options import Options
+from fgrecon.core.robust import StrategyName
 from fgrecon.solve.vehicle.model import VehicleModel
 
 Terms = Mapping[str, list[gtsam.NonlinearFactor]]
@@ -147,22 +148,17 @@ class VehiclePart:
         return self._solved
 
     @cached_property
-    def counted_once(self) -> Sequence[gtsam.NonlinearFactor]:
-        """The same factors for covariances, where the vehicle's size is as uncertain as the traffic's and no less.
+    def size_error(self) -> Array | None:
+        """(N, N) how much more lambda moves the minimum than the terms assume; None where they assume what is so.
 
-        The prior on lambda tells sizes and so does the fleet, and the minimum is nearer the truth with both. But the
-        spread of the traffic is that of real vehicles, which the two together make too small. So lambda has the prior
-        that gives sizes this spread, and is as it was where sizes do not depend on it.
+        The prior on lambda tells sizes and so does the fleet, and the minimum is nearer the truth with both. But real
+        vehicles spread more than both together allow (`VehicleModel.size_errors`): as the traffic does, or as their
+        class where the chance of another one is counted beside it (`fgrecon.solve.either_class`).
         """
-        key = self.shape.coefficients_key
-        if key is None or not {"coefficients", "dimensions"} <= self._present.keys():
-            return self._solved
-        stack = self._stacked(sized=False)
-        slices: Collection[str] = () if stack is None else stack.slices
-        names = [name for name in self._present if name not in {"coefficients", "dimensions", *slices}]
-        own = [factor for name in names for factor in self._term(name)]
-        prior = spread_prior(key, self.model.traffic_spread)
-        return [prior, *own] if stack is None else [stack.factor(), prior, *own]
+        errors = self.model.size_errors
+        if errors is None or not {"coefficients", "dimensions"} <= self._present.keys():
+            return None
+        return errors[counts_classes(self.options)]
 
     def energies(self, values: gtsam.Values) -> Iterator[tuple[str, float]]:
         """Name and energy of each term at the values, nats."""
@@ -176,10 +172,10 @@ class VehiclePart:
         """Terms that are not in the stack."""
         return [name for name in self._present if self._stack is None or name not in self._stack.slices]
 
-    def _stacked(self, *, sized: bool = True) -> ShapeTerms | None:
-        """The terms that the compiled kernel has, as far as they are there; without the size on request."""
+    def _stacked(self) -> ShapeTerms | None:
+        """The terms that the compiled kernel has, as far as they are there."""
         kernel = native("factors._shape")
-        names = {name for name in STACKED if name in self._present and (sized or name != "dimensions")}
+        names = {name for name in STACKED if name in self._present}
         return ShapeTerms(kernel, self._context, names) if kernel is not None and names else None
 
     def _described(self) -> ShapeContext:
@@ -223,6 +219,11 @@ def _medial_plane(key: int) -> gtsam.Values:
     values = gtsam.Values()
     values.insert(key, gtsam.OrientedPlane3(np.array([0.0, 0.0, 1.0, 0.0])))
     return values
+
+
+def counts_classes(options: Options) -> bool:
+    """Whether covariances count a car and a van one beside the other where the class is open."""
+    return options.strategy.name is StrategyName.MIXTURE and options.shape.joint
 
 
 def is_any_fleets(model: VehicleModel, options: Options) -> bool:

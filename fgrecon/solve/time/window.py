@@ -34,7 +34,7 @@ from fgrecon.core.category import MotionModel
 from fgrecon.core.checks import as_list
 from fgrecon.core.evidence import RangeRate
 from fgrecon.core.reconstruction import rotation_y
-from fgrecon.solve.graph.covariance import Spread, joint_covariance, marginals_of
+from fgrecon.solve.graph.covariance import Spread, marginals_of
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State, common_share
 from fgrecon.solve.graph.multi_start import MultiStartResult, SolvedStage, minimise_from_proposals
 from fgrecon.solve.graph.optimise import optimise
@@ -272,12 +272,12 @@ def velocity_covariances(solved: WindowSolve, frames: Sequence[Frame]) -> list[A
     """
     graph, optimum = solved.adjusted.graph, solved.adjusted.optimum
     keys = {key(0, frame.number) for frame in frames for key in (X, V)}
-    spread = marginals_of(graph, optimum.values, optimum.state.weights, keys, counted_once=False)
+    spread = marginals_of(graph, optimum.values, optimum.state.weights, keys, as_assumed=True)
     return [None if spread is None else _velocity_covariance(spread, frame, solved.motion_share) for frame in frames]
 
 
-def _velocity_covariance(spread: Spread | gtsam.Marginals, frame: Frame, share: float) -> Array | None:
-    joint = joint_covariance(spread, [X(0, frame.number), V(0, frame.number)])
+def _velocity_covariance(spread: Spread, frame: Frame, share: float) -> Array | None:
+    joint = spread.joint([X(0, frame.number), V(0, frame.number)])
     forward, left, _ = frame.velocity
     by_both = np.zeros((3, 9))
     by_both[:, :3] = -np.array([[0.0, -left, 0.0], [left, 0.0, -forward], [0.0, forward, 0.0]])

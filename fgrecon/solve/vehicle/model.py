@@ -52,9 +52,19 @@ class VehicleModel:
         return self.corners if box_model is BoxModel.CUBOID else self.outline
 
     @cached_property
-    def traffic_spread(self) -> Array:
-        """(N, N) covariance of lambda that gives sizes the spread of the traffic, and else is that of the prior, I."""
-        return np.eye(self.prior.dimension) if self.size is None else self.spread_of(self.size.spread)
+    def size_errors(self) -> tuple[Array, Array] | None:
+        """(N, N) how much more lambda pulls at a solve than it assumes: with the sizes of the traffic, or of one class.
+
+        A prior with the information Q pulls lambda to zero by Q lambda. Where lambda has the covariance S that is noise
+        of Q S Q, for which the solve takes Q: this is the difference. None where no size was given.
+        """
+        if self.size is None:
+            return None
+        by_size = self.dimension_basis / self.size.assumed_sigma[:, None]
+        assumed = np.eye(self.prior.dimension) + by_size.T @ by_size
+        spreads = [self.spread_of(sizes) for sizes in (self.size.spread, self.size.own_spread)]
+        traffic, own = (assumed @ spread @ assumed - assumed for spread in spreads)
+        return traffic, own
 
     @cached_property
     def by_size(self) -> Array:

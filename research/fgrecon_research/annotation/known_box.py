@@ -117,7 +117,7 @@ def _covariances(adjusted: MultiStartResult) -> list[Array | None]:
     graph, optimum = adjusted.graph, adjusted.optimum
     values = graph.values(optimum.state)
     marginals = (
-        None if optimum.failure is not None else marginals_of(graph, values, optimum.state.weights, counted_once=False)
+        None if optimum.failure is not None else marginals_of(graph, values, optimum.state.weights, as_assumed=True)
     )
     return [None if marginals is None else projected_covariances(p, values, marginals) for p in graph.observations]
 

@@ -9,8 +9,8 @@ import pytest
 from factors.keys import L, S, X
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.covariance import (
+    Spread,
     _covariance,
-    joint_covariance,
     marginals_of,
     projected_covariances,
     read_covariances,
@@ -42,7 +42,7 @@ def at_result(seed=3, **settings):
 
 
 def covariances(graph, values, weights):
-    marginals = marginals_of(graph, values, [weights], counted_once=False)
+    marginals = marginals_of(graph, values, [weights], as_assumed=True)
     return read_covariances(graph.observations[0], weights, values, marginals)
 
 
@@ -97,8 +97,8 @@ def test_the_frame_is_the_objects_own():
 def test_what_is_reported_is_that_of_the_weighted_keypoints(strategy, monkeypatch):
     """End to end, also where the graph holds an m-estimator: each keypoint counts by its final weight, and once.
 
-    So do sizes: the prior on lambda and the fleet's are one that gives them the spread of the traffic. What the chance
-    of a van adds is left out (`tests.solve.test_either_class`).
+    What the solve takes sizes for is not how they spread: the error of its minimum has both. What the chance of a van
+    adds is left out (`tests.solve.test_either_class`).
     """
     monkeypatch.setattr("fgrecon.solve.pipeline.with_either_class", lambda result, *_: result)
     problem, _ = problem_of(4, strategy=strategy, box_model="off")
@@ -113,14 +113,39 @@ def test_what_is_reported_is_that_of_the_weighted_keypoints(strategy, monkeypatc
     information, vehicle = jacobian.T @ jacobian, graph.vehicles[0]
     model, shape = vehicle.model, vehicle.shape
     sizes = np.tensordot(model.prior.category.dimension_operator, shape.derivative, axes=2)
-    own = slice(6, 6 + sizes.shape[1])
-    information[own, own] -= sizes.T @ np.diag(model.size.assumed_sigma**-2.0) @ sizes
-    information[6:11, 6:11] += np.linalg.inv(model.traffic_spread) - np.eye(5)
-    whole = np.linalg.inv(information)
+    taken = np.eye(5) + sizes[:, :5].T @ np.diag(model.size.assumed_sigma**-2.0) @ sizes[:, :5]
+    one_class = model.spread_of(model.size.own_spread if strategy == "mixture" else model.size.spread)
+    noise = information.copy()
+    noise[6:11, 6:11] += taken @ one_class @ taken - taken
+    whole = np.linalg.inv(information) @ noise @ np.linalg.inv(information)
     np.testing.assert_allclose(
         result.uncertainty.pose_covariance, whole[:6, :6], atol=0.02 * np.abs(whole[:6, :6]).max()
     )
     np.testing.assert_allclose(result.uncertainty.coefficients_covariance, whole[6:11, 6:11], atol=0.02)
+
+
+def test_sizes_that_spread_more_than_a_solve_takes_them_for_move_it_more():
+    """Minima of a quadratic form, sampled: its prior on lambda is tighter than that from which lambda is drawn."""
+    rng = np.random.default_rng(5)
+    half, root, taken_root = rng.normal(size=(12, 6)), rng.normal(size=(3, 3)), rng.normal(size=(3, 3))
+    drawn, taken = root @ root.T + np.eye(3), taken_root @ taken_root.T + 2.0 * np.eye(3)
+    said = half.T @ half
+    whole = said.copy()
+    whole[3:, 3:] += taken
+    inverse, places = np.linalg.inv(whole), {X(): np.arange(3), L(): np.arange(3, 6)}
+
+    def solved(keys):
+        at = np.concatenate([places[key] for key in keys])
+        return inverse[np.ix_(at, at)]
+
+    found = Spread(solved, {0: (L(), taken @ drawn @ taken - taken)}).joint([X(), L()])
+    noise, shapes = rng.normal(size=(200_000, 12)) @ half, np.zeros((200_000, 6))
+    shapes[:, 3:] = rng.multivariate_normal(np.zeros(3), drawn, len(shapes), method="cholesky")
+    pulled = shapes.copy()
+    pulled[:, 3:] = shapes[:, 3:] @ taken
+    errors = (noise - pulled) @ inverse
+    np.testing.assert_allclose(found, errors.T @ errors / len(errors), atol=0.02 * np.abs(found).max())
+    np.testing.assert_array_equal(Spread(solved).joint([X()]), inverse[:3, :3])
 
 
 def test_vehicles_of_an_assumed_fleet_are_unsure_together():
@@ -132,7 +157,7 @@ def test_vehicles_of_an_assumed_fleet_are_unsure_together():
     state = State([end.poses[0] for end in ends], {i: end.shapes[0] for i, end in enumerate(ends)}, weights, others)
     seen, model = [GraphObservation(car.problem, vehicle=i) for i, car in enumerate(cars)], cars[0].problem.model
     graph = Graph(seen, state, pose_free=True, extra=[fleet_prior(model)])
-    joint = joint_covariance(marginals_of(graph, graph.values(state), weights), [L(0), L(1)])
+    joint = marginals_of(graph, graph.values(state), weights).joint([L(0), L(1)])
 
     count = model.prior.dimension
     alike = model.by_size @ model.fleet_spread @ model.by_size.T
@@ -142,7 +167,7 @@ def test_vehicles_of_an_assumed_fleet_are_unsure_together():
         own = slice(number * count, (number + 1) * count)
         one = car.graph()
         alone = marginals_of(one, one.values(car.optimum.state), [car.weights])
-        covariance = joint_covariance(alone, [L(0)])
+        covariance = alone.joint([L(0)])
         said[own, own] = np.linalg.inv(covariance) - np.linalg.inv(alike + np.eye(count))
     expected = np.linalg.inv(np.linalg.inv(prior) + said)
     np.testing.assert_allclose(joint, expected, atol=1e-5 * np.abs(expected).max())
@@ -155,7 +180,7 @@ def test_covariances_of_projections_are_those_of_samples(settings):
     result, graph, values, _ = at_result(**settings)
     marginals = gtsam.Marginals(graph.build([result.weights]), values)
     part = graph.observations[0]
-    found = projected_covariances(part, values, marginals)
+    found = projected_covariances(part, values, Spread.by_gtsam(marginals))
     keys = list(part.keys)
     joint = marginals.jointMarginalCovariance(gtsam.KeyVector(keys))
     whole = np.block([[joint.at(a, b) for b in keys] for a in keys])
@@ -183,12 +208,12 @@ def test_one_factorisation_gives_what_gtsam_gives():
     marginals, keys = gtsam.Marginals(graph.build([result.weights]), values), list(values.keys())
     assert len(keys) > 1
     for wanted in (None, {keys[0]}):
-        spread = marginals_of(graph, values, [result.weights], wanted, counted_once=False)
+        spread = marginals_of(graph, values, [result.weights], wanted, as_assumed=True)
         for key in keys if wanted is None else wanted:
             expected = marginals.marginalCovariance(key)
             np.testing.assert_allclose(spread.joint([key]), expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
     own = [X(), L()]
-    turned, count = marginals_of(graph, values, [result.weights], counted_once=False).joint(own[::-1]), 5
+    turned, count = marginals_of(graph, values, [result.weights], as_assumed=True).joint(own[::-1]), 5
     np.testing.assert_allclose(turned[:count, :count], marginals.marginalCovariance(L()), rtol=1e-6, atol=1e-9)
 
 
