@@ -93,7 +93,7 @@ def solve(
     """
     read = read_tasks(file, settings.prior.category, source, names)
     tasks = read.tasks
-    _check_of_one_vehicle(file, [task.instance for task in tasks])
+    unplaced = _check_of_one_vehicle(file, [task.instance for task in tasks])
     labelled = _labels(file, settings)
     frames = [(task.instance.name, task.instance.frame) for task in tasks]
     labels = [name if frame is None else str(frame) for name, frame in frames]
@@ -112,11 +112,14 @@ def solve(
     quiet = replace(settings, options=replace(settings.options, keep_history=False))
     solved = [tasks[index] for index in result.numbers] if truths is not None else []
     alone = tuple(solve_task(task, quiet).result for task in solved)
-    return Solved(whole_text(file.stem), file, tuple(tasks), sight, result, alone, tuple(read.warnings))
+    return Solved(whole_text(file.stem), file, tuple(tasks), sight, result, alone, (*read.warnings, *unplaced))
 
 
-def _check_of_one_vehicle(file: Path, instances: Sequence[Instance]) -> None:
+def _check_of_one_vehicle(file: Path, instances: Sequence[Instance]) -> list[str]:
     """Refuse a file whose instances cannot be one vehicle: two are in one image, or they have several ids.
+
+    Returns:
+        A warning where nothing says that they are in several images, not even their names (`car:17`).
 
     Raises:
         InvalidInputError: It does.
@@ -131,6 +134,11 @@ def _check_of_one_vehicle(file: Path, instances: Sequence[Instance]) -> None:
         if any(place is not None for place in where) and seen.setdefault(where, one.name) != one.name:
             place = one.image or f"frame {one.frame}"
             raise InvalidInputError("image", f"{file}: {seen[where]} and {one.name} are both in {place}", _SEVERAL)
+    unplaced = [one.name for one in instances if one.image is None and one.frame is None]
+    if len(unplaced) < 2 or all(name.rpartition(":")[2].isdecimal() for name in unplaced):
+        return []
+    names = " and ".join(unplaced[:2])
+    return [f"{names} have neither `image` nor `frame`: taken as images of one vehicle. {_SEVERAL}"]
 
 
 def distinguished(tracks: Sequence[Solved]) -> list[Solved]:

@@ -192,7 +192,8 @@ class Camera:
         Raises:
             InvalidInputError: The part is not inside an image of known size, or a number is none.
         """
-        corner = as_finite("crop", [left, top], (2,), "Give the column and the row of the part's corner.")
+        fix = "Give the column and the row of the part's corner."
+        corner = np.array([as_finite("crop", number, (), fix) for number in (left, top)])
         size = None if width is None or height is None else _image_size((width, height))
         if self.image_size is not None:
             room = np.array(self.image_size) - corner - (0 if size is None else np.array(size))

@@ -90,7 +90,7 @@ def test_a_track_is_warned_of_once_and_does_not_converge(tmp_path):
     assert said.count("Warning") == 1
     assert "left and right" in said
     assert "mirrored: weak" in done.stdout
-    done = run("track", tmp_path / "sample/cars.json", "--intrinsics", "721.5,721.5,172.9,609.6")
+    done = run("track", tmp_path / "sample/TRACK.json", "--intrinsics", "721.5,721.5,172.9,609.6")
     said = " ".join(done.stderr.split())
     assert said.count("Warning") == 1
     assert "principal point" in said

@@ -65,6 +65,15 @@ def test_vehicles_of_several_ids_are_no_track(write, drive):
     assert "has id 0" in done.exception.value
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_instances_that_may_be_of_one_image_are_warned_of(write, drive, named):
+    for number, instance in enumerate(drive[0]["instances"]):
+        instance["id"] = f"car-{number}"
+        instance.update({"image": f"{number}.png"} if named else {})
+    done = run("track", write(drive[0]), INTRINSICS)
+    assert ("car-0 and car-1 have neither `image` nor `frame`" in " ".join(done.stderr.split())) != named
+
+
 def test_a_vehicle_before_two_cameras_at_a_time_is_a_track(write, drive):
     for instance, image in zip(drive[0]["instances"], ("left.png", "right.png", "left-2.png"), strict=True):
         instance.update(track=3, frame=4, image=image)

@@ -191,7 +191,9 @@ def test_a_part_of_the_image_sees_the_same():
     assert whole.cropped(0, 0).image_size is None
 
 
-@pytest.mark.parametrize("part", [(-1, 0, 10, 10), (1240, 0, 10, 10), (0, 400), (float("nan"), 0), (0, 0, 10, 0.5)])
+@pytest.mark.parametrize(
+    "part", [(-1, 0, 10, 10), (1240, 0, 10, 10), (0, 400), (float("nan"), 0), (0, 0, 10, 0.5), (True, 0)]
+)
 def test_a_part_outside_the_image_is_refused(part):
     with pytest.raises(InvalidInputError):
         Camera.of_field_of_view(1242, 375).cropped(*part)

@@ -105,7 +105,7 @@ class Graph:
             state: Where it starts: constants are taken from there.
             pose_free: Whether the poses are variables.
             hold_shape: Whether the shapes are constants.
-            extra: The caller's own factors; those on variables that are held are left out.
+            extra: The caller's own factors; those on variables that are held are left out, unless they always are.
             earlier: How many images of each vehicle there are beside these.
 
         Raises:
@@ -151,7 +151,7 @@ class Graph:
         self._own_keys |= {key for vehicle in self.vehicles.values() for key in vehicle.keys}
         keys = self._own_keys | set(state.others.keys()) | self.shared.known.keys()
         self.extra = [factor for factor in extra if keys.issuperset(factor.keys())]
-        if extra and pose_free and not hold_shape:
+        if extra and not hold_shape and (pose_free or not self.options.shape.joint):
             _check_extra(extra, self.values(state))
 
     def values(self, state: State) -> gtsam.Values:
