@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -127,4 +126,4 @@ def export_command(
         screen.warn(loss_warning(kind, lost))
     screen.wrote(out)
     about = {"format": "fgrecon.export/1", "file": str(out), "kind": kind, "vehicles": len(found)}
-    screen.write_json(json.dumps({**about, "not_written": lost}, indent=1) + "\n")
+    screen.write_document({**about, "not_written": lost})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,7 +49,7 @@ def detect_command(
         _instance(item.name, d) | {n: v for n in ("kind", "score", "track") if (v := getattr(item, n)) is not None}
         for item, d in zip(named, found, strict=True)
     ]
-    screen.write_json(json.dumps({"instances": instances}, indent=1) + "\n")
+    screen.write_document({"instances": instances})
     if picture is not None:
         from fgrecon.viz.detections import detection_sheet
         from fgrecon.viz.picture import save_picture

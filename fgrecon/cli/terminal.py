@@ -118,6 +118,15 @@ class Screen:
         elif self._json is not None:
             self.write_text(Path(self._json), text)
 
+    def write_document(self, content: Any) -> None:
+        """Write plain values as `write_json` writes a text.
+
+        Raises:
+            InvalidInputError: The file cannot be written.
+        """
+        if self._json is not None:
+            self.write_json(json.dumps(content, indent=1, allow_nan=False) + "\n")
+
     def watch(self, things: Sequence[Thing], heading: str) -> Iterable[Thing]:
         """Go through some things and show how far that has come."""
         return watched(things, heading, self.errors, shown=self.bars)

@@ -199,13 +199,6 @@ class TestApollo79:
         with pytest.raises(InvalidInputError, match="weights"):
             apollo79_prior(models, weights=weights[1:])
 
-    def test_unsymmetric_prior(self, models):
-        prior = apollo79_prior(models, symmetric=False)
-        gap = np.abs(prior.mean - prior.mean[prior.category.mirror] * FLIP).max()
-        assert 0.002 < gap < 0.01
-        assert not prior.is_symmetric
-        assert len(prior.surface.mean) == 1352
-
     def test_cars_held_out_one_by_one(self, models):
         none, two, five = leave_one_out(models, (0, 2, 5))
         assert 100 * np.array([none.keypoint_rms, two.keypoint_rms, five.keypoint_rms]) == pytest.approx(

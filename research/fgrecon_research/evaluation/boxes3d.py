@@ -8,9 +8,8 @@ share. `fgrecon_research.evaluation.boxes_summary` says what they come to.
 from __future__ import annotations
 
 import json
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +18,12 @@ from fgrecon.calibration.labelled_boxes import matched, wanted
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error
 from fgrecon.io.kitti_drives import Drive
-from fgrecon.io.kitti_files import LABEL_COLUMNS, Objects
+from fgrecon.io.kitti_files import LABEL_COLUMNS, Objects, read_tracking
 from fgrecon_research.evaluation.kitti_devkit import Space, overlap
 from fgrecon_research.io.kitti_sets import Defect, parse_objects
 
 _NAME = "{:06d}"  # of a frame
+_NOTHING = Objects.of_rows([], np.zeros((0, LABEL_COLUMNS)))
 
 
 @dataclass(frozen=True)
@@ -70,17 +70,9 @@ def read_boxes(path: Path, frames: Sequence[int]) -> dict[int, Objects]:
             fix = "Give a folder with files FFFFFF.txt of labelled frames, or a file of tracking lines."
             raise InvalidInputError("results", str(path), fix)
         return {number: _objects(text, str(files[number])) for number, text in texts.items()}
-    lines: dict[int, list[str]] = defaultdict(list)
-    for at, line in enumerate(_text(path).splitlines(), start=1):
-        if not line.strip():
-            continue
-        try:
-            frame, _, rest = line.split(maxsplit=2)
-            lines[int(frame)].append(rest)
-        except ValueError as error:
-            fix = "Give lines of frame, track and an object label."
-            raise InvalidInputError(f"{path}:{at}", line[:80], fix) from error
-    return {number: _objects("\n".join(lines[number]), f"{path}, frame {number}") for number in frames}
+    tracked = {number: found.objects for number, found in read_tracking(path).items()}
+    scored = {n: replace(one, score=np.nan_to_num(one.score, nan=1.0)) for n, one in tracked.items()}
+    return {number: scored.get(number, _NOTHING) for number in frames}
 
 
 def read_boxes_of_drives(path: Path, drives: Sequence[Drive]) -> dict[str, dict[int, Objects]]:

@@ -197,44 +197,42 @@ def tables(
 ) -> tuple[TextTable, TextTable, TextTable]:
     """Overlaps and angles, errors of the found vehicles, and average precision."""
     spaces = [f"{space} IoU ≥ {least:g} %" for space in ("3D", "BEV") for least in LEAST_OVERLAPS]
-    shares: list[list[str]] = []
-    errors: list[list[str]] = []
-    precision: list[list[str]] = []
+    shares: list[dict[str, str]] = []
+    errors: list[dict[str, str]] = []
     for group in dict.fromkeys(group for groups in summaries.values() for group in groups):
         for name, groups in summaries.items():
             one = groups[group]
+            about = {"": group, "source": name}
             intervals = [_shown(share, one, 0) for share in (*one.right, *one.ground, *one.within)]
-            shares.append([group, name, str(one.vehicles), str(one.found), *intervals])
-            errors.append([group, name, *_error_cells(one)])
+            heads = (*spaces, *(f"within {most}° %" for most in THRESHOLDS))
+            counts = {"labels": str(one.vehicles), "found": str(one.found)}
+            shares.append(about | counts | dict(zip(heads, intervals, strict=True)))
+            errors.append(about | _error_cells(one))
     places = [f"{space} {least:g}" for space in ("BEV", "3D") for least in LEAST_OVERLAPS]
-    for i in range(max(map(len, curves.values()), default=0)):
-        for name, regimes in curves.items():
-            one_regime = regimes[i]
-            values = (one_regime.image, one_regime.orientation, *one_regime.ground, *one_regime.volume)
-            cells = [number_or_dash(value, ".1f") for value in values]
-            precision.append([f"cars, {one_regime.regime}", name, str(one_regime.labels), *cells])
-    heads = (
-        ["", "source", "labels", "found", *spaces, *(f"within {most}° %" for most in THRESHOLDS)],
-        ["", "source", "mean m", "median m", "depth %", "flipped %", "size cm", "l, w, h m"],
-        ["AP at 40 points", "source", "labels", "2D 0.7", "AOS", *places],
-    )
-    first, second, third = (TextTable(*made, texts=2) for made in zip(heads, (shares, errors, precision), strict=True))
-    return first, second, third
-
-
-def _error_cells(one: OverlapSummary) -> list[str]:
-    if one.mean_metres is None:
-        return ["-"] * 6
-    return [
-        _shown(one.mean_metres, one, 2),
-        _shown(one.intervals["median_metres"], one, 2),
-        f"{one.depth:+.1f}",
-        f"{one.flipped:.1f}",
-        _shown(one.intervals["absolute_size"], one, 0, 100.0),
-        ", ".join(f"{error:+.2f}" for error in one.size),
+    precision = [
+        {"AP at 40 points": f"cars, {one.regime}", "source": name, "labels": str(one.labels)}
+        | {"2D 0.7": number_or_dash(one.image, ".1f"), "AOS": number_or_dash(one.orientation, ".1f")}
+        | {p: number_or_dash(value, ".1f") for p, value in zip(places, (*one.ground, *one.volume), strict=True)}
+        for regimes in zip(*curves.values(), strict=True)
+        for name, one in zip(curves, regimes, strict=True)
     ]
+    return TextTable.of(shares, texts=2), TextTable.of(errors, texts=2), TextTable.of(precision, texts=2)
 
 
-def _shown(interval: Interval, of: OverlapSummary, digits: int, factor: float = 1.0) -> str:
-    """With its interval, where there are several tracks to draw."""
+def _error_cells(one: OverlapSummary) -> dict[str, str]:
+    known, of = one.intervals, one.found
+    return {
+        "mean m": _shown(one.mean_metres, one, 2),
+        "median m": _shown(known.get("median_metres"), one, 2),
+        "depth %": f"{one.depth:+.1f}" if of else "-",
+        "flipped %": f"{one.flipped:.1f}" if of else "-",
+        "size cm": _shown(known.get("absolute_size"), one, 0, 100.0),
+        "l, w, h m": ", ".join(f"{error:+.2f}" for error in one.size) if of else "-",
+    }
+
+
+def _shown(interval: Interval | None, of: OverlapSummary, digits: int, factor: float = 1.0) -> str:
+    """With its interval, where there are several tracks to draw; a dash where nothing is found."""
+    if interval is None:
+        return "-"
     return interval.shown(digits, factor) if of.tracks > 1 else f"{factor * interval.value:.{digits}f}"

@@ -142,10 +142,7 @@ def calibration_document(found: Calibration, given: dict[str, Any]) -> dict[str,
             "right": found.facing.right.tolist(),
             "count": found.facing.count.tolist(),
         },
-        "statuses": [
-            {"status": one.status, "count": one.count, "flipped": one.flipped, "wrong": one.wrong}
-            for one in found.statuses
-        ],
+        "statuses": [asdict(one) for one in found.statuses],
         "acceptance": [asdict(one) for one in found.acceptance],
     }
 

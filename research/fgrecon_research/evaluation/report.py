@@ -14,7 +14,6 @@ import os
 import platform
 from collections.abc import Mapping, Sequence
 from importlib import metadata
-from itertools import compress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -41,18 +40,6 @@ _UNITS = {
     "median_translation_m": "metres between estimated and labelled origin; a failure counts as infinite",
     "ms": "milliseconds of wall time per frame, mean over the frames with a pose",
 }
-_HEADINGS = (
-    "method",
-    "N",
-    "mean °",
-    "median °",
-    *(f"AOP {threshold}° %" for threshold in THRESHOLDS),
-    "median m",
-    "ms pose",
-    "ms shape",
-    "failed",
-    "prior",
-)
 
 
 def summary(scores: MethodScores) -> dict[str, Any]:
@@ -146,21 +133,21 @@ def table(scores: Sequence[MethodScores], *, narrow: bool = False) -> Table:
         narrow: Whether it has to fit into 80 columns: without prior and number of failures.
     """
     left_out = ("failed", "prior") if narrow else ()
-    shown = [heading not in left_out for heading in _HEADINGS]
+    rows = [{name: cell for name, cell in _cells(one).items() if name not in left_out} for one in scores]
     result = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 0)) if narrow else Table()
-    for heading in compress(_HEADINGS, shown):
+    for heading in rows[0]:
         justify: Literal["left", "right"] = "left" if heading in ("method", "prior") else "right"
         result.add_column(heading, justify=justify, no_wrap=not narrow or heading == "method")
-    for entry in scores:
-        result.add_row(*map(escape, compress(_cells(entry), shown)))
+    for row in rows:
+        result.add_row(*map(escape, row.values()))
     return result
 
 
 def markdown(scores: Sequence[MethodScores]) -> str:
     """The same table as Markdown."""
-    alignment = ["---", *["---:"] * (len(_HEADINGS) - 2), "---"]
-    rows = [list(_HEADINGS), alignment, *(_cells(entry) for entry in scores)]
-    return "".join(map(markdown_row, rows))
+    rows = [_cells(entry) for entry in scores]
+    alignment = ["---", *["---:"] * (len(rows[0]) - 2), "---"]
+    return "".join(map(markdown_row, (list(rows[0]), alignment, *(list(row.values()) for row in rows))))
 
 
 def machine() -> dict[str, Any]:
@@ -187,16 +174,17 @@ def _processor() -> str:
     return models[0] if models else platform.processor() or "unknown"
 
 
-def _cells(scores: MethodScores) -> list[str]:
+def _cells(scores: MethodScores) -> dict[str, str]:
+    """A row of the table, by its headings."""
     entry = summary(scores)
-    return [
-        scores.name,
-        str(entry["n"]),
-        f"{entry['mae_deg']:.2f}",
-        f"{entry['median_deg']:.2f}",
-        *(f"{value:.1f}" for value in entry["aop"].values()),
-        number_or_dash(entry["median_translation_m"], ".2f"),
-        *(number_or_dash(entry["ms"][stage], ".2f") for stage in STAGES),
-        str(len(entry["failures"])),
-        scores.prior,
-    ]
+    return {
+        "method": scores.name,
+        "N": str(entry["n"]),
+        "mean °": f"{entry['mae_deg']:.2f}",
+        "median °": f"{entry['median_deg']:.2f}",
+        **{f"AOP {threshold}° %": f"{value:.1f}" for threshold, value in entry["aop"].items()},
+        "median m": number_or_dash(entry["median_translation_m"], ".2f"),
+        **{f"ms {stage}": number_or_dash(entry["ms"][stage], ".2f") for stage in STAGES},
+        "failed": str(len(entry["failures"])),
+        "prior": scores.prior,
+    }

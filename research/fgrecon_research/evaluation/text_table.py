@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,6 +21,11 @@ class TextTable:
     rows: Sequence[Sequence[str]]
     texts: int = 1  # how many columns of texts
     title: str = ""
+
+    @classmethod
+    def of(cls, rows: Sequence[Mapping[str, str]], texts: int = 1, title: str = "") -> TextTable:
+        """Of rows whose cells are by the headings, alike in all; of one row at least."""
+        return cls(list(rows[0]), [list(row.values()) for row in rows], texts, title)
 
     def markdown(self) -> str:
         """As Markdown, the title above it in bold."""

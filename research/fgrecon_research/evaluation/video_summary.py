@@ -6,7 +6,7 @@ Boxes of one track show one vehicle and go wrong together, so the intervals draw
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
 from typing import Any
 
@@ -105,36 +105,28 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class PoseSummary:
-    """One method on a group of boxes. Shares are percent of all boxes of the group."""
+    """One method on a group of boxes; `_UNITS` says what the numbers are. NaN, or None, where nothing is known."""
 
     boxes: int  # number of boxes
     tracks: int  # number of tracks that they are of
-    mean_degrees: Interval  # mean yaw error; a refused box counts 180
-    aop: Mapping[int, Interval]  # share within 5, 15 and 30 degrees
-    heading_flips: Interval  # share with a pose that is more than 90 degrees off
-    without_estimate: Interval  # share without a pose
-    # share of heading flips though the status is `converged`; None for a method without a status
+    mean_degrees: Interval
+    aop: Mapping[int, Interval]  # by degrees
+    heading_flips: Interval
+    without_estimate: Interval
     silent: Interval | None
-    # share for which the network finds the wrong half of all directions more probable, or no half; None where it gives
-    # no directions
     network_heading_flips: Interval | None
-    median_metres: float  # median position error over the boxes with a pose; NaN without one
-    mean_metres: float  # mean position error over them; NaN without one
-    # mean of estimated minus labelled length, width and height, metres; None where none is found
+    median_metres: float
+    mean_metres: float
     mean_size_error: tuple[float, float, float] | None
     refused: int  # number of boxes without a pose
-    # mean absolute error of length, width and height, metres; None where none is found
-    mean_absolute_size_error: float | None = None
-    # mean change of the yaw error from a box to the next one of its track; None where none is known
-    jitter_degrees: float | None = None
-    jitter_metres: float | None = None  # the same of the position error
-    median_velocity: float | None = None  # median velocity error, metres per second; None where none is known
-    overlapping: Interval | None = None  # share whose 3D box overlaps the labelled one enough; None without 3D boxes
-    mean_absolute_length_error: float | None = None  # metres; None where none is found
-    # of what has covariances, by its name (`DIMENSIONS`)
-    consistency: Mapping[str, Consistency] = field(default_factory=dict)
-    # of the numbers above without one, by their names: position, size and velocity, where they are known
-    intervals: Mapping[str, Interval] = field(default_factory=dict)
+    mean_absolute_size_error: float | None
+    jitter_degrees: float | None
+    jitter_metres: float | None
+    median_velocity: float | None
+    overlapping: Interval | None
+    mean_absolute_length_error: float | None
+    consistency: Mapping[str, Consistency]  # of what has covariances, by its name (`DIMENSIONS`)
+    intervals: Mapping[str, Interval]  # of position, size and velocity, where they are known, by the names above
 
 
 Summaries = Mapping[str, Mapping[str, Mapping[str, PoseSummary]]]
@@ -370,22 +362,6 @@ def _plain(summary: PoseSummary) -> dict[str, Any]:
     return {entry.name: plain(getattr(summary, entry.name)) for entry in fields(summary)}
 
 
-_HEADINGS = (
-    *("boxes", "method", *(f"AOP {threshold}° %" for threshold in THRESHOLDS)),
-    *("flipped %", "no estimate %", "silent %", "network %"),
-    *(
-        "yaw °",
-        "median m",
-        "mean m",
-        "IoU 0.7 %",
-        "length cm",
-        "size cm",
-        "jitter °",
-        "jitter m",
-        *(f"{name} NEES" for name in DIMENSIONS),
-    ),
-    "velocity m/s",
-)
 _FIRST = "regime"
 
 
@@ -399,39 +375,44 @@ def tables(summaries: Summaries) -> dict[str, TextTable]:
     made = {}
     for by in sorted(summaries, key=lambda by: by != _FIRST):
         rows = [
-            [f"{name}, {score.boxes}", method, *_cells(score)]
+            {"boxes": f"{name}, {score.boxes}", "method": method} | _cells(score)
             for name, methods in summaries[by].items()
             for method, score in methods.items()
         ]
-        made[by] = TextTable(_HEADINGS, rows, texts=2)
+        made[by] = TextTable.of(rows, texts=2)
     return made
 
 
-def _cells(score: PoseSummary) -> list[str]:
+def _cells(score: PoseSummary) -> dict[str, str]:
+    """The numbers by their headings."""
+
     def shown(one: Interval | None, digits: int, factor: float = 1.0) -> str:
         """A number that a group may lack and, where there are several tracks, its 95 % interval."""
         if one is None:
             return "-"
         return f"{factor * one.value:.{digits}f}" if score.tracks < 2 else one.shown(digits, factor)
 
-    found = [
-        *(shown(share, 1) for share in score.aop.values()),
-        shown(score.heading_flips, 2),
-        shown(score.without_estimate, 2),
-        shown(score.silent, 2),
-        "-" if score.network_heading_flips is None else f"{score.network_heading_flips.value:.1f}",
-        f"{score.mean_degrees.value:.2f}",
-        shown(score.intervals.get("median_metres"), 3),
-        shown(score.intervals.get("mean_metres"), 3),
-        shown(score.overlapping, 1),
-        shown(score.intervals.get("mean_absolute_length_error"), 1, 100.0),
-        shown(score.intervals.get("mean_absolute_size_error"), 1, 100.0),
-        number_or_dash(score.jitter_degrees, ".2f"),
-        number_or_dash(score.jitter_metres, ".3f"),
-    ]
-    for name in DIMENSIONS:
-        one = score.consistency.get(name)
-        found.append(
-            "-" if one is None else f"{one.mean:.1f} / {one.median:.2f} / {one.within:.0f} % / {one.inside:.0f} %"
-        )
-    return [*found, shown(score.intervals.get("median_velocity"), 2)]
+    network, known = score.network_heading_flips, score.intervals
+    return {
+        **{f"AOP {threshold}° %": shown(share, 1) for threshold, share in score.aop.items()},
+        "flipped %": shown(score.heading_flips, 2),
+        "no estimate %": shown(score.without_estimate, 2),
+        "silent %": shown(score.silent, 2),
+        "network %": "-" if network is None else f"{network.value:.1f}",
+        "yaw °": f"{score.mean_degrees.value:.2f}",
+        "median m": shown(known.get("median_metres"), 3),
+        "mean m": shown(known.get("mean_metres"), 3),
+        "IoU 0.7 %": shown(score.overlapping, 1),
+        "length cm": shown(known.get("mean_absolute_length_error"), 1, 100.0),
+        "size cm": shown(known.get("mean_absolute_size_error"), 1, 100.0),
+        "jitter °": number_or_dash(score.jitter_degrees, ".2f"),
+        "jitter m": number_or_dash(score.jitter_metres, ".3f"),
+        **{f"{name} NEES": _compared(score.consistency.get(name)) for name in DIMENSIONS},
+        "velocity m/s": shown(known.get("median_velocity"), 2),
+    }
+
+
+def _compared(one: Consistency | None) -> str:
+    if one is None:
+        return "-"
+    return f"{one.mean:.1f} / {one.median:.2f} / {one.within:.0f} % / {one.inside:.0f} %"

@@ -10,6 +10,7 @@ brought to their real size), so here they keep that size.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import MIRROR, pixel_jacobian, rigid, transform
+from fgrecon.core.observation import Observation
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon_research.io.annotations.offsets import robust_offset
 from fgrecon_research.training.priors.apollo79 import Apollo79
@@ -60,6 +62,11 @@ class MarkedCar:
     def marks(self) -> int:
         """Number of marked keypoints."""
         return int(np.isfinite(self.keypoints[:, 0]).sum())
+
+    @property
+    def observation(self) -> Observation:
+        """The marks, all of them sure, in the box."""
+        return Observation(self.keypoints, np.isfinite(self.keypoints[:, 0]).astype(np.float64), self.box)
 
     @property
     def in_camera(self) -> Array:
@@ -117,6 +124,11 @@ def read_apollocar3d(path: Path, models: Apollo79) -> MarkedCars:
         inconsistent=tuple(car.name for car in enough if not car.inconsistency <= CONSISTENT),
         noise=1.4826 * float(np.nanmedian(np.abs(errors))) if errors else float("nan"),
     )
+
+
+def image_half(name: str) -> int:
+    """0 or 1: the half of the images that a car (`MarkedCar.name`) is of, by a hash of the image's name."""
+    return hashlib.sha256(name.partition(":")[0].encode()).digest()[0] % 2
 
 
 def marking_offsets(cars: Sequence[MarkedCar], camera: Camera, category: Category) -> Array:

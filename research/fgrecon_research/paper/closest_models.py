@@ -105,11 +105,8 @@ def rank_models(
 def _shape(car: MarkedCar, cars: MarkedCars, prior: ShapePrior, offsets: Array) -> Array | None:
     """(14, 3) keypoints as solved; None where that failed."""
     marked = replace(prior, mean=prior.mean + offsets)
-    confidence = np.isfinite(car.keypoints[:, 0]).astype(np.float64)
     try:
-        result = reconstruct(
-            *(car.keypoints, cars.camera), confidence=confidence, box=car.box, prior=marked, options=KNOWN_SHAPE_OPTIONS
-        )
+        result = reconstruct(car.observation, cars.camera, prior=marked, options=KNOWN_SHAPE_OPTIONS)
     except FgreconError:
         return None
     return result.wireframe - offsets if np.isfinite(result.wireframe).all() else None

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
@@ -19,7 +19,6 @@ from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import rigid, transform
 from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.metrics import FAILURE_DEGREES
-from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, KeypointOptions, Options, ShapeOptions
 from fgrecon.core.processes import one_thread_each
 from fgrecon.core.reconstruction import Reconstruction
@@ -29,7 +28,7 @@ from fgrecon.io.catalogue import load_category
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.conditioning import given_size
 from fgrecon_research.evaluation.measures import keypoint_error, rotation_error
-from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars, marking_offsets
+from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars, image_half, marking_offsets
 from fgrecon_research.paper.stages import solved_stages
 from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior, apollo79_size_relation
 
@@ -83,8 +82,7 @@ class KnownShapeScores:
     @property
     def held_out(self) -> NDArray[np.bool_]:
         """(C,) cars of the half of the images, by a hash of their names, that later settings were not chosen on."""
-        images = [name.partition(":")[0].encode() for name in self.names]
-        return np.array([hashlib.sha256(image).digest()[0] % 2 == 1 for image in images], dtype=bool)
+        return np.array([image_half(name) == 1 for name in self.names], dtype=bool)
 
 
 def score_known_shapes(
@@ -93,7 +91,6 @@ def score_known_shapes(
     """Fit every car with a prior that knows neither it nor, where it has two names, its duplicate.
 
     Args:
-        models: The 79 models.
         workers: Number of processes; the result does not depend on it.
     """
     groups = [[c for c in cars.cars if c.model == model] for model in sorted({car.model for car in cars.cars})]
@@ -170,10 +167,8 @@ def _sqpnp(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Arra
 
 @summed_up()  # what an evaluation solves is measured, not warned of
 def _stages(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Array, Array]]:
-    marked = np.isfinite(car.keypoints[:, 0]).astype(np.float64)
-
     def solve(options: Options) -> Reconstruction:
-        return reconstruct(car.keypoints, camera, confidence=marked, box=car.box, prior=prior, options=options)
+        return reconstruct(car.observation, camera, prior=prior, options=options)
 
     found = solved_stages(solve, KNOWN_SHAPE_OPTIONS, prior.category)
     return [(found[stage].camera_T_object, found[stage].keypoints) for stage in _STAGES]
@@ -197,47 +192,24 @@ class ExampleCar:
     """A car with its result and the truth."""
 
     place: str  # `best`, `median` or `worst`
-    name: str  # of the car, `<image>:<position in the image>`
-    observation: Observation  # the marks
+    car: MarkedCar  # its marks, and the truth
     camera: Camera
     result: Reconstruction  # the reconstruction from them, by a prior that has not learnt from the car's model
-    camera_T_object: NDArray[np.float64]  # (4, 4) true pose
-    size: NDArray[np.float64]  # (3,) true length, width and height, metres
-    shape: NDArray[np.float64]  # (14, 3) true keypoints, object frame, metres
 
 
 def example_cars(cars: MarkedCars, models: Apollo79) -> tuple[ExampleCar, ...]:
-    """Three cars each of the smallest, the median and the largest error of their keypoints in the camera frame.
-
-    Args:
-        models: The 79 models.
-    """
+    """Three cars each of the smallest, the median and the largest error of their keypoints in the camera frame."""
     found: list[tuple[float, ExampleCar]] = []
     for model in sorted({car.model for car in cars.cars}):
         prior = apollo79_prior(models, basis=BASIS, exclude=[model])
         for car in (car for car in cars.cars if car.model == model):
-            if (example := _solved(car, cars.camera, prior)) is not None:
-                result = example.result
-                found.append((car_errors(car, result.camera_T_object, result.wireframe)[2], example))
+            with suppress(FgreconError):
+                result = reconstruct(car.observation, cars.camera, prior=prior, options=KNOWN_SHAPE_OPTIONS)
+                if np.isfinite(result.camera_T_object).all():
+                    error = car_errors(car, result.camera_T_object, result.wireframe)[2]
+                    found.append((error, ExampleCar("", car, cars.camera, result)))
     ordered = [example for _, example in sorted(found, key=lambda pair: pair[0])]
     each = min(_EACH, len(ordered) // 3)
     middle = (len(ordered) - each) // 2
     places = {"best": 0, "median": middle, "worst": len(ordered) - each}
     return tuple(replace(one, place=place) for place, at in places.items() for one in ordered[at : at + each])
-
-
-def _solved(car: MarkedCar, camera: Camera, prior: ShapePrior) -> ExampleCar | None:
-    marked = np.isfinite(car.keypoints[:, 0]).astype(np.float64)
-    try:
-        result = reconstruct(
-            car.keypoints, camera, confidence=marked, box=car.box, prior=prior, options=KNOWN_SHAPE_OPTIONS
-        )
-    except FgreconError:
-        return None
-    observation = Observation(car.keypoints, marked, box=car.box)
-    found = np.isfinite(result.camera_T_object).all()
-    return (
-        ExampleCar("", car.name, observation, camera, result, car.camera_T_object, car.size, car.shape)
-        if found
-        else None
-    )

@@ -6,7 +6,6 @@ the images and tested on the other half, and the other way round; the prior of a
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,7 +18,7 @@ from fgrecon.core.options import KeypointOptions, Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon_research.evaluation.calibration import Calibration, Judged, calibrate, judge_known
-from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars
+from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars, image_half
 from fgrecon_research.paper.known_shape import KNOWN_SHAPE_OPTIONS
 from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior
 
@@ -42,7 +41,7 @@ def halves(cars: Sequence[MarkedCar]) -> tuple[list[MarkedCar], list[MarkedCar]]
     """The cars of two halves of the images, by a hash of the images' names."""
     parts: tuple[list[MarkedCar], list[MarkedCar]] = [], []
     for car in cars:
-        parts[hashlib.sha256(car.name.partition(":")[0].encode()).digest()[0] % 2].append(car)
+        parts[image_half(car.name)].append(car)
     return parts
 
 
@@ -50,9 +49,6 @@ def calibrate_marked(
     cars: MarkedCars, models: Apollo79, advance: Callable[[int, int], None] = lambda *_: None
 ) -> MarkedCalibration:
     """Fit the marks' noise to each half of the images, and judge the other half's results with it.
-
-    Args:
-        models: The 79 models.
 
     Raises:
         InvalidInputError: All cars are in one half of the images.
@@ -92,8 +88,7 @@ class _Solver:
     def _one(self, car: MarkedCar, options: Options) -> Judged:
         if car.model not in self.priors:
             self.priors[car.model] = apollo79_prior(self.models, basis=_BASIS, exclude=[car.model])
-        prior, marked = self.priors[car.model], np.isfinite(car.keypoints[:, 0]).astype(np.float64)
-        result = reconstruct(car.keypoints, self.camera, confidence=marked, box=car.box, prior=prior, options=options)
+        result = reconstruct(car.observation, self.camera, prior=self.priors[car.model], options=options)
         return judge_known(result, car.camera_T_object, car.size, car.shape, car.name.partition("_")[0])
 
 

@@ -8,7 +8,7 @@ place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,7 +109,6 @@ def score_shape(
     *,
     ground: Ground | None = None,
     size: SizePrior | None = None,
-    advance: Callable[[], None] = lambda: None,
 ) -> dict[str, StageScore]:
     """Errors before and after the shape stage, with the pose fixed at the truth, fixed at its estimate, and free.
 
@@ -127,14 +126,7 @@ def score_shape(
     for view in views:
         for stage, (pose, keypoints) in _states(view, model, ground, options).items():
             parts[stage].append(_errors(view, pose, keypoints))
-        advance()
     return {stage: _summary(errors) for stage, errors in parts.items()}
-
-
-def change(before: StageScore, after: StageScore) -> Mapping[str, float]:
-    """Relative change of each error in percent; negative is better."""
-    fields = ("keypoint", "centred", "keypoint_rms", "reprojection")
-    return {field: 100.0 * (getattr(after, field) / getattr(before, field) - 1.0) for field in fields}
 
 
 def _view(vehicle: Vehicle, rng: np.random.Generator, noise: NoiseModel) -> SimulatedView:
@@ -281,58 +273,27 @@ def variants(options: Options) -> dict[str, Options]:
     }
 
 
-def ablate(
-    views: Sequence[SimulatedView],
-    prior: ShapePrior,
-    options: Options,
-    *,
-    ground: Ground | None = None,
-    size: SizePrior | None = None,
-    advance: Callable[[str], None] = lambda _: None,
-) -> dict[str, dict[str, StageScore]]:
-    """Score every variant of the energy; see `fgrecon_research.paper.shape.score_shape`."""
-    table = {}
-    for name, setting in variants(options).items():
-        table[name] = score_shape(views, prior, setting, ground=ground, size=size)
-        advance(name)
-    return table
-
-
-def score_strategies(
-    views: Sequence[SimulatedView],
-    prior: ShapePrior,
-    options: Options,
-    *,
-    ground: Ground | None = None,
-    size: SizePrior | None = None,
-    advance: Callable[[str], None] = lambda _: None,
-) -> dict[str, StrategyScore]:
-    """Pose and shape with each robust strategy."""
-    scores = {}
-    for name in STRATEGIES:
-        setting = replace(options, strategy=named_strategy(name), keep_history=False)
-        scores[name] = _score_strategy(views, prior, setting, ground, size)
-        advance(name)
-    return scores
+def strategies(options: Options) -> dict[str, Options]:
+    """Settings by the robust strategies' names."""
+    return {name: replace(options, strategy=named_strategy(name), keep_history=False) for name in STRATEGIES}
 
 
 @summed_up()
-def _score_strategy(
-    views: Sequence[SimulatedView], prior: ShapePrior, options: Options, ground: Ground | None, size: SizePrior | None
+def score_strategy(
+    views: Sequence[SimulatedView],
+    prior: ShapePrior,
+    options: Options,
+    *,
+    ground: Ground | None = None,
+    size: SizePrior | None = None,
 ) -> StrategyScore:
+    """Pose and shape with one robust strategy."""
     turns, keypoints, translations = [], [], []
     for view in views:
         observation, truth = view.observation, view.truth
         try:
             result = reconstruct(
-                observation.keypoints,
-                KITTI_CAMERA,
-                confidence=observation.confidence,
-                box=observation.box,
-                prior=prior,
-                ground=ground,
-                size_prior=size,
-                options=options,
+                observation, KITTI_CAMERA, prior=prior, ground=ground, size_prior=size, options=options
             )
         except FgreconError:
             turns.append(FAILURE_DEGREES)

@@ -58,10 +58,9 @@ def test_the_right_model_is_found_more_often_than_by_chance(data):
 def test_cars_to_look_at_are_the_best_the_middle_and_the_worst(data):
     models = load_apollo79(data)
     cars = read_apollocar3d(data / "apollocar3d_val" / "annotations.json", models)
-    by_name = {car.name: car for car in cars.cars}
     found = example_cars(replace(cars, cars=cars.cars[::40]), models)
     assert [one.place for one in found] == ["best"] * 3 + ["median"] * 3 + ["worst"] * 3
-    errors = [car_errors(by_name[o.name], o.result.camera_T_object, o.result.wireframe)[2] for o in found]
+    errors = [car_errors(o.car, o.result.camera_T_object, o.result.wireframe)[2] for o in found]
     assert errors == sorted(errors)
     ((caption, svg),) = _pictures(found).items()
     assert caption.startswith("9 of the cars")

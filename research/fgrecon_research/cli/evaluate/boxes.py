@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
@@ -85,7 +84,7 @@ def boxes_command(
             place = one.frame if len(drives) == 1 else f"{one.drive}/{one.frame}"
             errors = f"{one.metres:.2f} m, {one.degrees:.1f} degrees, IoU {one.overlap:.2f}" if one.found else "no box"
             screen.detail(f"{name} {place}/{one.index} {one.kind}: {errors}")
-    screen.write_json(json.dumps(document(scored, curves), indent=1, allow_nan=False) + "\n")
+    screen.write_document(document(scored, curves))
     screen.write_text(markdown, "\n".join(one.markdown() for one in made))
     if not any(one.found for vehicles in scored.values() for one in vehicles):
         screen.fail("No labelled vehicle got a box.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -89,7 +88,7 @@ def calibration_command(
         made = [*calibration_tables(method, one), _acceptance_table(method, one)]
         screen.print(*(table.shown() for table in made), _in_words(one))
     documents = [calibration_document(one, {"method": method, **given}) for method, one in found.items()]
-    screen.write_json(json.dumps(documents, indent=1, allow_nan=False) + "\n")
+    screen.write_document(documents)
     first = next(iter(found.values()))
     if picture is not None:
         screen.wrote(save_picture(picture, calibration_picture(first.regions, first.facing)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -183,7 +182,7 @@ def kitti_command(
     }
     content = kitti_images.document(scored, given)
     content["boxes"] = plain_boxes(found.groups, found.curves, found.vehicles)
-    screen.write_json(json.dumps(content, indent=1, allow_nan=False) + "\n")
+    screen.write_document(content)
     outputs.write(found, made, screen)
     drawn = outputs.picture is not None or delivery.requested
     sights = _sights(scored, {frame.name: frame.image for frame in frames}) if drawn else []

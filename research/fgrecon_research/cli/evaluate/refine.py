@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,7 +111,7 @@ def refine_evaluation_command(
         "box_errors": vars(errors),
         "ground": settings.ground is not None,
     }
-    screen.write_json(json.dumps(document(vehicles, given), indent=1, allow_nan=False) + "\n")
+    screen.write_document(document(vehicles, given))
     if not any(one.changed for one in vehicles):
         screen.fail("No box was refined.")
         raise typer.Exit(1)

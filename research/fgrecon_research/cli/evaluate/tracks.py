@@ -78,7 +78,7 @@ def tracks_command(
     screen.print(table, f"+ground: {origin}. +size: {_in_words(scene.size)}.")
     _print_failures(scores, screen)
     named = list(zip(map(str, files), tracks, strict=True))
-    screen.write_json(report.to_json(report.document(scores, named, scene, {"ground": origin})))
+    screen.write_document(report.document(scores, named, scene, {"ground": origin}))
     screen.write_text(markdown, report.markdown(scores))
     screen.write_text(per_frame, report.to_json(report.frames_document(scores)))
     if recording is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -154,7 +153,7 @@ def video_command(
         "sensors": sensors.chosen,
     }
     content = document(boxes, summaries, given, scored.networks())
-    screen.write_json(json.dumps(content, indent=1, allow_nan=False) + "\n")
+    screen.write_document(content)
     screen.write_text(outputs.markdown, "\n".join(f"{heading}\n\n{one.markdown()}" for heading, one in made.items()))
     outputs.write(scored, screen)
     if all(box.outcomes[methods_of(boxes)[0]].failure is not None for box in boxes):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -64,7 +63,7 @@ def icra2017_command(
     screen.print(_table(results))
     for result in results:
         screen.detail(f"{result.name}: {result.reconstruction.message}", *details(result.reconstruction))
-    screen.write_json(json.dumps(_document(results), indent=2, allow_nan=False) + "\n")
+    screen.write_document(_document(results))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         screen.wrote(*_draw(results, out))

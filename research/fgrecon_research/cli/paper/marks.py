@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 
 from fgrecon.cli.options import JsonOption
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.serialise import finite
 from fgrecon_research.cli.evaluate.calibration import calibration_tables
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption, MarkdownOption
 from fgrecon_research.evaluation.calibration import calibration_document
@@ -40,7 +39,7 @@ def marks_command(terminal: Terminal, data: DataOption = DATA, json_out: JsonOpt
     screen.detail(*found.failures)
     given = {"method": _METHOD, "sigma_relative": list(found.sigma_relative), "refused": list(found.failures)}
     document = calibration_document(found.calibration, given)
-    screen.write_json(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    screen.write_document(document)
 
 
 # `fgrecon evaluate models`: how often the right car model is among the closest ones.
@@ -76,9 +75,9 @@ def models_command(
         "rows": {
             row[0]: dict(zip(("first", "first_5", "median_place"), map(float, row[1:]), strict=True)) for row in rows
         },
-        "margins": {"cars": found.names, "metres": [round(float(m), 4) for m in found.margins]},
+        "margins": {"cars": found.names, "metres": finite([round(float(m), 4) for m in found.margins])},
     }
-    screen.write_json(json.dumps(document, indent=2) + "\n")
+    screen.write_document(document)
     screen.write_text(markdown, f"{len(found.names)} cars, {found.count} models.\n\n{table.markdown()}\n{note}\n")
 
 

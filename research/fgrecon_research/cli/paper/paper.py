@@ -67,9 +67,10 @@ def _pictures(cars: Sequence[ExampleCar]) -> dict[str, str]:
     if not cars:
         return {}
     sights = []
-    for car in cars:
+    for one in cars:
+        car = one.car
         truth = Truth(car.camera_T_object, car.size, car.shape)
-        sights.append(SolvedVehicle(car.result, car.observation, car.camera, None, truth, f"{car.place}: {car.name}"))
+        sights.append(SolvedVehicle(one.result, car.observation, one.camera, None, truth, f"{one.place}: {car.name}"))
     caption = (
         f"{len(cars)} of the cars of known shape, in the order of the error of their keypoints. Dots: people's marks, "
         "with a line to the estimate. Blue and vermilion: the estimated car's left and right. Green: the true box."

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -19,11 +19,12 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption, MarkdownOption
 from fgrecon_research.evaluation.bootstrap import mean_interval
+from fgrecon_research.evaluation.measures import THRESHOLDS
 from fgrecon_research.evaluation.text_table import TextTable
 from fgrecon_research.paper import shape
 from fgrecon_research.paper.shape import DEFAULT, SimulatedView, StageScore, StrategyScore
 from fgrecon_research.simulation import HARD
-from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior, load_apollo79
+from fgrecon_research.training.priors.apollo79 import apollo79_prior, load_apollo79
 
 FORMAT = "fgrecon_research.evaluation.shape/1"
 _UNITS = {
@@ -61,9 +62,7 @@ def shape_command(
     prior = apollo79_prior(models, exclude=names)
     simulated = shape.simulate_views(models, names, views, seed)
     screen.detail(f"held out: {', '.join(names)}")
-    with screen.bar() as advance:
-        tell = counting(advance, "Views", len(simulated))
-        stages = shape.score_shape(simulated, prior, ground=ground, advance=lambda: tell(""))
+    stages = shape.score_shape(screen.watch(simulated, "Views"), prior, ground=ground)
     document: dict[str, Any] = {
         "format": FORMAT,
         "units": _UNITS,
@@ -73,42 +72,49 @@ def shape_command(
     tables = [_stage_table(f"{len(simulated)} views of cars held out", stages)]
     if ablation:
         harder = shape.simulate_views(models, names, views, seed, HARD)
-        numbers, more = _ablated(models, names, prior, simulated, harder, seed, ground, screen)
+        loose = shape.unsymmetrised_prior(models, names, seed=seed)
+        numbers, more = _ablated(simulated, harder, prior, loose, ground, screen)
         document |= numbers
         tables += more
     screen.print(*(table.shown() for table in tables))
-    screen.write_json(json.dumps(document, indent=2, allow_nan=False) + "\n")
+    screen.write_document(document)
     screen.write_text(markdown, "\n".join(table.markdown() for table in tables))
 
 
 def _ablated(
-    models: Apollo79,
-    names: Sequence[str],
-    prior: ShapePrior,
     views: Sequence[SimulatedView],
     harder: Sequence[SimulatedView],
-    seed: int,
+    prior: ShapePrior,
+    loose: ShapePrior,
     ground: Ground,
     screen: Screen,
 ) -> tuple[dict[str, Any], list[TextTable]]:
     """Numbers and tables of energies without each term, with two priors, and of robust strategies."""
-    size, options = SIZE_PRIORS["apollo79"], Options()
-    total = 2 * len(shape.variants(options)) + len(shape.STRATEGIES)
+    options = Options()
+    known: dict[str, Any] = {"ground": ground, "size": SIZE_PRIORS["apollo79"]}
+    energies, strategies = shape.variants(options), shape.strategies(options)
     with screen.bar(per_minute=True) as advance:
-        tell = counting(advance, "Energies and strategies", total)
-        symmetric = shape.ablate(views, prior, options, ground=ground, size=size, advance=tell)
-        loose_prior = shape.unsymmetrised_prior(models, names, seed=seed)
-        loose = shape.ablate(views, loose_prior, options, ground=ground, size=size, advance=tell)
-        strategies = shape.score_strategies(harder, prior, options, ground=ground, size=size, advance=tell)
+        tell = counting(advance, "Energies and strategies", 2 * len(energies) + len(strategies))
+
+        def scored(settings: Mapping[str, Options], score: Callable[[Options], Any]) -> dict[str, Any]:
+            found = {}
+            for name, setting in settings.items():
+                found[name] = score(setting)
+                tell(name)
+            return found
+
+        symmetric = scored(energies, partial(shape.score_shape, views, prior, **known))
+        unsymmetric = scored(energies, partial(shape.score_shape, views, loose, **known))
+        robust = scored(strategies, partial(shape.score_strategy, harder, prior, **known))
     numbers = {
         "ablation": {name: _plain(row) for name, row in symmetric.items()},
-        "ablation_unsymmetrised": {name: _plain(row) for name, row in loose.items()},
-        "strategies": _plain(strategies),
+        "ablation_unsymmetrised": {name: _plain(row) for name, row in unsymmetric.items()},
+        "strategies": _plain(robust),
     }
     return numbers, [
         _ablation_table("Energy terms, symmetric prior", symmetric),
-        _ablation_table("Energy terms, unsymmetrised prior", loose),
-        _strategy_table("Robust strategies on harder keypoints", strategies),
+        _ablation_table("Energy terms, unsymmetrised prior", unsymmetric),
+        _strategy_table("Robust strategies on harder keypoints", robust),
     ]
 
 
@@ -117,17 +123,17 @@ def _plain(rows: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _stage_table(title: str, stages: Mapping[str, StageScore]) -> TextTable:
-    heads = ["state", "median cm", "centred cm", "RMS cm", "inliers px", "orientation °", "change of median %"]
     rows = []
     for name, score in stages.items():
         before = stages[_FIXED[0] if name.endswith("true pose") else _JOINT[0]]
-        rows.append([name, *_numbers(score), f"{100 * (score.keypoint / before.keypoint - 1):+.1f}"])
-    return TextTable(heads, rows, title=title)
-
-
-def _numbers(score: StageScore) -> list[str]:
-    lengths = (score.keypoint, score.centred, score.keypoint_rms)
-    return [*(f"{100 * length:.2f}" for length in lengths), f"{score.reprojection:.2f}", f"{score.orientation:.2f}"]
+        lengths = {"median": score.keypoint, "centred": score.centred, "RMS": score.keypoint_rms}
+        rows.append(
+            {"state": name}
+            | {f"{what} cm": f"{100 * length:.2f}" for what, length in lengths.items()}
+            | {"inliers px": f"{score.reprojection:.2f}", "orientation °": f"{score.orientation:.2f}"}
+            | {"change of median %": f"{100 * (score.keypoint / before.keypoint - 1):+.1f}"}
+        )
+    return TextTable.of(rows, title=title)
 
 
 def _ablation_table(title: str, variants: Mapping[str, Mapping[str, StageScore]]) -> TextTable:
@@ -147,9 +153,10 @@ def _ablation_table(title: str, variants: Mapping[str, Mapping[str, StageScore]]
 
 
 def _strategy_table(title: str, scores: Mapping[str, StrategyScore]) -> TextTable:
-    heads = ["strategy", "mean °", "median °", "AOP 5° %", "AOP 15° %", "AOP 30° %", "keypoints cm", "origin m"]
-    rows = []
-    for name, score in scores.items():
-        errors = [f"{score.mean:.2f}", f"{score.median:.2f}", *(f"{share:.1f}" for share in score.aop)]
-        rows.append([name, *errors, f"{100 * score.keypoint:.2f}", f"{score.translation:.2f}"])
-    return TextTable(heads, rows, title=title)
+    rows = [
+        {"strategy": name, "mean °": f"{score.mean:.2f}", "median °": f"{score.median:.2f}"}
+        | {f"AOP {most}° %": f"{share:.1f}" for most, share in zip(THRESHOLDS, score.aop, strict=True)}
+        | {"keypoints cm": f"{100 * score.keypoint:.2f}", "origin m": f"{score.translation:.2f}"}
+        for name, score in scores.items()
+    ]
+    return TextTable.of(rows, title=title)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 from rich.table import Table
 
 from fgrecon.cli.options import JsonOption, WeightsOption, fitting_names
@@ -18,6 +16,7 @@ from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Advance, Screen, Terminal, headed_table, stepwise
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
+from fgrecon.core.serialise import finite
 from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon.io.files import check_output
 from fgrecon.perception.from_image import reconstruct_detection
@@ -36,7 +35,7 @@ from fgrecon_research.training.keypoints.evaluate import (
     score_marks,
 )
 from fgrecon_research.training.keypoints.marks import read_photograph_marks, read_street_marks
-from fgrecon_research.training.keypoints.posed_cars import PosedCar, read_posed_cars, read_validation_ids
+from fgrecon_research.training.keypoints.posed_cars import read_posed_cars, read_validation_ids
 from fgrecon_research.training.keypoints.segment import draw_silhouettes, in_order
 from fgrecon_research.training.keypoints.settings import TrainingSettings, read_settings, shipped_settings
 from fgrecon_research.training.keypoints.trainer import TrainingProgress
@@ -75,7 +74,7 @@ def evaluate_command(
     if end_to_end:
         result["after_adjustment"] = after_adjustment(screen, scored, data)
         result["end_to_end"] = direction_errors(screen, detector, data, end_to_end, seed)
-    screen.write_json(json.dumps(result, indent=1) + "\n")
+    screen.write_document(result)
 
 
 def silhouettes_command(
@@ -94,14 +93,9 @@ def silhouettes_command(
     """
     screen = terminal.screen()
     cars = in_order(read_posed_cars(data / "posed_cars"), each)
-
-    def shown(some: Iterator[PosedCar]) -> Iterator[PosedCar]:
-        for car in screen.watch(list(some), "Silhouettes"):
-            yield car
-            screen.detail(f"Wrote {car.silhouette(out)}.")
-
-    count = draw_silhouettes(cars, package, out, side=side, report=shown)
-    screen.print(f"{count} drawn, {len(cars) - count} were there.")
+    drawn = draw_silhouettes(cars, package, out, side=side, progress=screen.watch)
+    screen.detail(*(f"Wrote {file}." for file in drawn))
+    screen.print(f"{len(drawn)} drawn, {len(cars) - len(drawn)} were there.")
     screen.wrote(out)
 
 
@@ -227,10 +221,6 @@ def print_marks(screen: Screen, scored: Sequence[Scored], names: Sequence[str]) 
 def marks_document(scored: Sequence[Scored], names: Sequence[str]) -> dict[str, Any]:
     """The same numbers as plain values."""
 
-    def by_name(rows: NDArray[np.float64]) -> dict[str, list[float | None]]:
-        plain_rows = [[None if np.isnan(share) else float(share) for share in row] for row in rows]
-        return dict(zip(names, plain_rows, strict=False))
-
     def plain(result: Localisation) -> dict[str, Any]:
         return {
             "cars": result.cars,
@@ -238,14 +228,14 @@ def marks_document(scored: Sequence[Scored], names: Sequence[str]) -> dict[str, 
             "pck_0.1": result.within_tenth,
             "pck_0.05": result.within_twentieth,
             "median": result.median,
-            "keypoints": by_name(result.keypoints),
-            "keypoints_apk": by_name(result.precisions),
+            "keypoints": dict(zip(names, result.keypoints.tolist(), strict=False)),
+            "keypoints_apk": dict(zip(names, result.precisions.tolist(), strict=False)),
             "keypoints_points": dict(zip(names, result.counts.tolist(), strict=False)),
         }
 
     found = marks_reliability(scored)
     return {
-        "marks": {name: plain(localisation(scored, groups)) for name, groups in GROUPS.items()},
+        "marks": {name: finite(plain(localisation(scored, groups))) for name, groups in GROUPS.items()},
         "reliability": {
             "confidence": found.confidence.tolist(),
             "right": found.right.tolist(),
@@ -265,7 +255,8 @@ def after_adjustment(screen: Screen, scored: Sequence[Scored], data: Path) -> di
         _row(table, name, result)
     screen.print(table)
     return {
-        name: {"pck_0.1": result.within_tenth, "pck_0.05": result.within_twentieth} for name, result in results.items()
+        name: finite({"pck_0.1": result.within_tenth, "pck_0.05": result.within_twentieth})
+        for name, result in results.items()
     }
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import metadata
@@ -194,21 +193,6 @@ _TERMS = (
 )
 
 
-@dataclass
-class Clock:
-    """How long something took, seconds."""
-
-    seconds: float = 0.0
-
-
-@contextmanager
-def timed() -> Iterator[Clock]:
-    """Takes the time."""
-    clock, started = Clock(), perf_counter()
-    yield clock
-    clock.seconds = perf_counter() - started
-
-
 @dataclass(frozen=True, eq=False)
 class Labelled:
     """A drive, its annotations, what was left out, and how long it took in seconds."""
@@ -242,10 +226,9 @@ def label_drives(
         def watched(things: Sequence[Any], heading: str, name: str = drive.name) -> Iterable[Any]:
             return watch(things, f"{name}: {heading}")
 
-        with timed() as clock:
-            points = scan_of if lidar else None
-            made, left = annotate(drive, detector, prior, selection, None, watched, unboxed, points)
-        done.append(Labelled(drive, made, left, clock.seconds))
+        points, started = scan_of if lidar else None, perf_counter()
+        made, left = annotate(drive, detector, prior, selection, None, watched, unboxed, points)
+        done.append(Labelled(drive, made, left, perf_counter() - started))
     return done
 
 

@@ -21,6 +21,7 @@ from fgrecon.perception.keypoints.crops import FILL, MARGIN
 from fgrecon_research.training.keypoints.deform import (
     Field,
     LabelledView,
+    Partner,
     belt_of,
     deform,
     deform_points,
@@ -96,15 +97,12 @@ class Street:
         along = [(a, b) for a, b in sides if category.mirror[a] != b]
         return replace(self, moves=(*along, *((b, a) for a, b in along)), belt=belt_of(category, prior.mean))
 
-    def sample(
-        self, view: LabelledView, another: Another, partner: NDArray[np.intp], rng: np.random.Generator
-    ) -> Sample:
+    def sample(self, view: LabelledView, another: Another, partner: Partner, rng: np.random.Generator) -> Sample:
         """Make one sample.
 
         Args:
             another: Draws another photograph, for backgrounds and occluders; one seen from about an azimuth where that
                 is given.
-            partner: (K,) index of each keypoint's mirror image.
         """
         if rng.random() < 0.5:
             view = view.mirrored(partner)
@@ -180,7 +178,7 @@ class Street:
         corner = turn @ (low if side == "left" else high) + matrix[:, 2]
         return matrix, around, (side, float(corner[1 if side == "bottom" else 0]))
 
-    def _field(self, points: Array, partner: NDArray[np.intp], rng: np.random.Generator) -> Field:
+    def _field(self, points: Array, partner: Partner, rng: np.random.Generator) -> Field:
         """How the car's shape is changed: a little at random, and sometimes one pair of parts by far."""
         field = random_field(self.size, rng.uniform(0.0, self.bend) * self.size, rng)
         if not self.moves or rng.random() >= self.moved:

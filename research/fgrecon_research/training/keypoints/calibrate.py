@@ -15,7 +15,7 @@ from fgrecon.perception.keypoints.decode import ConfidenceCalibration, logit, si
 from fgrecon.perception.keypoints.detect import REACH, KeypointCascade
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.dataset import Photographs
-from fgrecon_research.training.keypoints.deform import UNKNOWN_KIND
+from fgrecon_research.training.keypoints.deform import UNKNOWN_KIND, Partner
 from fgrecon_research.training.keypoints.labels import SEEN
 from fgrecon_research.training.keypoints.views import azimuth_weights
 
@@ -37,7 +37,7 @@ def calibrate(
     detector: KeypointCascade,
     photographs: Photographs,
     chosen: NDArray[np.intp],
-    partner: NDArray[np.intp],
+    partner: Partner,
     *,
     street: Street = SCORED,
     samples: int = 1500,
@@ -47,7 +47,6 @@ def calibrate(
 
     Args:
         detector: The network, without a calibration of its spread so far.
-        partner: (K,) index of each keypoint's mirror image.
     """
     scene = replace(street, size=_SIDE)
     extent = _SIDE / MARGIN

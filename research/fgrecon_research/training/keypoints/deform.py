@@ -22,6 +22,9 @@ from fgrecon.core.category import Category
 
 Pixels = NDArray[np.uint8]
 
+Partner = NDArray[np.intp]
+"""(K,) index of each keypoint's mirror image."""
+
 UNKNOWN_KIND = -1
 """In the place of a kind's number."""
 
@@ -48,7 +51,7 @@ class LabelledView:
         height, width = self.image.shape[:2]
         return np.array([-0.5, -0.5, width - 0.5, height - 0.5]) if self.within is None else self.within
 
-    def mirrored(self, partner: NDArray[np.intp]) -> LabelledView:
+    def mirrored(self, partner: Partner) -> LabelledView:
         """The mirror image, in which left and right of the car have changed places."""
         flipped = self.keypoints[partner] * [-1.0, 1.0] + [self.image.shape[1] - 1.0, 0.0]
         image, mask = (np.ascontiguousarray(a[:, ::-1]) for a in (self.image, self.mask))

@@ -8,7 +8,7 @@ it becomes part of what is learnt but the outlines of the training's cars. Needs
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
-from fgrecon_research.training.keypoints.posed_cars import PosedCar, groups
+from fgrecon_research.training.keypoints.posed_cars import PosedCar, Progress, groups, no_progress
 
 _MODEL = "/models/medium"
 _TRAINED_SIDE = 1024
@@ -102,15 +102,15 @@ def draw_silhouettes(
     out: Path,
     *,
     side: int = 320,
-    report: Callable[[Iterator[PosedCar]], Iterator[PosedCar]] = iter,
-) -> int:
+    progress: Progress = no_progress,
+) -> list[Path]:
     """Write a grey image per photograph, NAME.png, white on the car; those that are there are left.
 
     Args:
         side: Side of the network's input, pixels.
 
     Returns:
-        How many were drawn.
+        The files that were drawn.
 
     Raises:
         InvalidInputError: The npm package or a photograph cannot be read.
@@ -120,15 +120,15 @@ def draw_silhouettes(
     out.mkdir(parents=True, exist_ok=True)
     missing = [car for car in cars if not car.silhouette(out).exists()]
     if not missing:
-        return 0
+        return []
     session: Any = onnxruntime.InferenceSession(resized(assemble(package), side), providers=["CPUExecutionProvider"])
     name = session.get_inputs()[0].name
-    for car in report(iter(missing)):
+    for car in progress(missing, "Silhouettes"):
         image = read_image(car.image)
         small = cv2.resize(image, (side, side), interpolation=cv2.INTER_LINEAR).astype(np.float32)
         found = session.run(None, {name: ((small - _MIDDLE) / _SPREAD).transpose(2, 0, 1)[None]})[0][0, 0]
         write_bytes(car.silhouette(out), _png(cv2.resize(found, (image.shape[1], image.shape[0]))))
-    return len(missing)
+    return [car.silhouette(out) for car in missing]
 
 
 def _png(likelihood: NDArray[np.float32]) -> bytes:

@@ -6,7 +6,7 @@ Paths are relative to the file, drives to the data folder.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from importlib import resources
 from pathlib import Path
@@ -162,12 +162,8 @@ def _values(
     """The values of a table, each checked."""
     for key in table:
         if key not in known:
-            raise InvalidInputError(f"{where}{key}", table[key], f"No such key; there are {_listed(known)}.")
+            raise InvalidInputError(f"{where}{key}", table[key], f"No such key; there are {', '.join(sorted(known))}.")
     return {key: known[key](where + key, value, folder) for key, value in table.items()}
-
-
-def _listed(names: Collection[str]) -> str:
-    return ", ".join(sorted(names))
 
 
 def _text(key: str, value: Any, _: Path) -> str:
@@ -182,29 +178,19 @@ def _texts(key: str, value: Any, folder: Path) -> tuple[str, ...]:
     return tuple(_text(f"{key}[{number}]", each, folder) for number, each in enumerate(value))
 
 
-def _path(key: str, value: Any, folder: Path) -> Path:
-    return folder / _text(key, value, folder)
-
-
-def _as_it_is(_key: str, value: Any, _folder: Path) -> Any:
-    """Checked where it is used: by `Plan`, `Phase` or `TrainingSettings`."""
-    return value
-
-
-_SETTINGS = {
-    "needs": _texts,
-    "imagenet": _path,
-    "start": _path,
-    "silhouettes": _path,
-    "marks": _path,
-    "without": _texts,
-    "device": _text,
-    "workers": _as_it_is,
+_READERS: Mapping[str, Callable[[str, Any, Path], Any]] = {
+    "str": _text,
+    "tuple[str, ...]": _texts,
+    "Path | None": lambda key, value, folder: folder / _text(key, value, folder),
 }
-_PHASE = {
-    **dict.fromkeys((*_PLAN, "start_share", "street_share", "silhouettes", "marks"), _as_it_is),
-    "name": _text,
-    "street": _path,
-    "drives": _texts,
-    "trained": _path,
-}
+"""What reads a value, by the type of its field; those of other types are checked where they are made."""
+
+
+def _keys(kind: type, *left_out: str) -> dict[str, Callable[[str, Any, Path], Any]]:
+    """What reads the keys of a table, by the fields of what is made of it."""
+    known = ((entry.name, str(entry.type)) for entry in fields(kind) if entry.name not in left_out)
+    return {name: _READERS.get(of_type, lambda _key, value, _folder: value) for name, of_type in known}
+
+
+_SETTINGS = _keys(TrainingSettings, "phases")
+_PHASE = _keys(Phase, "plan") | _keys(Plan, "device", "workers")

@@ -19,6 +19,7 @@ from fgrecon.perception.keypoints.detect import REACH
 from fgrecon.perception.keypoints.layout import KINDS, STRIDE, KNetSettings
 from fgrecon_research.training.keypoints.augment import Sample, Street
 from fgrecon_research.training.keypoints.dataset import Photographs
+from fgrecon_research.training.keypoints.deform import Partner
 from fgrecon_research.training.keypoints.knet import KNet, load_imagenet
 from fgrecon_research.training.keypoints.labels import SEEN
 from fgrecon_research.training.keypoints.losses import knet_loss
@@ -40,7 +41,7 @@ class Training(Schedule):
 class _Samples(Dataset):  # type: ignore[misc]
     """Sample number i of the training, whichever step or process asks for it."""
 
-    def __init__(self, learning: TrainingSet, partner: NDArray[np.intp], how: Training) -> None:
+    def __init__(self, learning: TrainingSet, partner: Partner, how: Training) -> None:
         self.learning, self.partner, self.how = learning, partner, how
 
     def __getitem__(self, number: int) -> tuple[Any, ...]:
@@ -65,7 +66,7 @@ def first_network(
 def train_knet(
     network: KNet,
     learning: TrainingSet,
-    partner: NDArray[np.intp],
+    partner: Partner,
     checkpoint: Path,
     how: Training,
     *,
@@ -77,7 +78,6 @@ def train_knet(
 
     Args:
         network: `first_network`.
-        partner: (K,) index of each keypoint's mirror image.
         until: Step after which to end with a checkpoint; None for the last.
 
     Returns:
@@ -139,15 +139,11 @@ class HeldOut:
         photographs: Photographs,
         held: NDArray[np.intp],
         street: Street,
-        partner: NDArray[np.intp],
+        partner: Partner,
         seed: int,
         count: int = 192,
     ) -> HeldOut:
-        """Draw them, all directions about equally often.
-
-        Args:
-            partner: (K,) index of each keypoint's mirror image.
-        """
+        """Draw them, all directions about equally often."""
         weights = azimuth_weights(photographs.azimuth, held)
         return cls([photographs.draw(held, weights, street, partner, (seed, _SEED + i)) for i in range(count)])
 

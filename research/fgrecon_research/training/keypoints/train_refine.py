@@ -18,6 +18,7 @@ from fgrecon.perception.keypoints.crops import MARGIN
 from fgrecon.perception.keypoints.layout import MEAN, PATCH, SPREAD, Layer, RefineLayout, RefineSettings
 from fgrecon.perception.keypoints.patches import cut_patches
 from fgrecon_research.training.keypoints.augment import Sample, Street
+from fgrecon_research.training.keypoints.deform import Partner
 from fgrecon_research.training.keypoints.losses import HIDDEN_WEIGHT, map_loss
 from fgrecon_research.training.keypoints.trainer import Schedule, Trainer, TrainingProgress
 from fgrecon_research.training.keypoints.views import TrainingSet
@@ -81,7 +82,7 @@ class RefineTraining(Schedule):
 
 def train_refinement(
     learning: TrainingSet,
-    partner: NDArray[np.intp],
+    partner: Partner,
     checkpoint: Path,
     how: RefineTraining,
     *,
@@ -91,7 +92,6 @@ def train_refinement(
     """Train, or go on where the checkpoint ends.
 
     Args:
-        partner: (K,) index of each keypoint's mirror image.
         start: Weights to start from, without a checkpoint.
 
     Returns:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fgrecon.core.arrays import Array
 from fgrecon.core.metrics import wrap_angle
 from fgrecon_research.training.keypoints.augment import Sample, Street
-from fgrecon_research.training.keypoints.deform import LabelledView
+from fgrecon_research.training.keypoints.deform import LabelledView, Partner
 
 _BINS = 36
 _TRIES = 12
@@ -29,7 +29,7 @@ class Views(ABC):
         """One of them."""
 
     def draw(
-        self, chosen: NDArray[np.intp], weights: Array, street: Street, partner: NDArray[np.intp], seed: Sequence[int]
+        self, chosen: NDArray[np.intp], weights: Array, street: Street, partner: Partner, seed: Sequence[int]
     ) -> Sample:
         """A sample, fully determined by the seed: a view drawn by weight, and what else is in the picture likewise."""
         rng = np.random.default_rng(list(seed))
@@ -71,7 +71,7 @@ class TrainingSet:
     chosen: NDArray[np.intp]  # (N,) which of them
     weights: Array  # (N,) probability of drawing each
 
-    def draw(self, street: Street, partner: NDArray[np.intp], seed: Sequence[int]) -> Sample:
+    def draw(self, street: Street, partner: Partner, seed: Sequence[int]) -> Sample:
         """A sample, fully determined by the seed."""
         return self.views.draw(self.chosen, self.weights, street, partner, seed)
 

@@ -168,34 +168,27 @@ def load_apollo79(path: str | Path) -> Apollo79:
 
 
 def apollo79_prior(
-    path: str | Path | Apollo79,
-    basis: int = 5,
-    exclude: Sequence[str] = (),
-    symmetric: bool = True,
-    weights: ArrayLike | None = None,
+    models: Apollo79, basis: int = 5, exclude: Sequence[str] = (), weights: ArrayLike | None = None
 ) -> ShapePrior:
     """Learn the `car14` prior with surface from the models, without those named (for experiments on held-out cars).
 
+    The keypoints located on every model are symmetric, and the surface is cut along the medial plane and mirrored, so
+    that the prior is symmetric for every lambda.
+
     Args:
         exclude: Names of models not to learn from; either name of the car that has two takes it out.
-        symmetric: Learn from the keypoints located on every model, which are symmetric, and a surface cut along the
-            medial plane and mirrored: symmetric for every lambda. Otherwise learn from the keypoints as fixed points
-            of the meshes, whose left and right differ as those of a prior from 2D annotations do, and from the
-            meshes as they are.
         weights: (79,) how much each model counts, such as how frequent it is; equal by default.
 
     Raises:
-        InvalidInputError: The file cannot be used, a name is unknown, or too few models are left.
+        InvalidInputError: A name is unknown, or too few models are left.
     """
-    models = path if isinstance(path, Apollo79) else load_apollo79(path)
     keep = kept_models(models, exclude)
     return pca_prior(
         load_category("car14"),
-        (models.keypoints if symmetric else models.keypoints_mesh)[keep],
+        models.keypoints[keep],
         basis=basis,
-        symmetric=symmetric,
         weights=None if weights is None else as_shape("weights", weights, (len(models.names),))[keep],
-        surface=surface_samples(models, keep, symmetric),
+        surface=surface_samples(models, keep),
         name="car14",
         provenance={
             "source": f"{len(keep)} of the 79 car models of ApolloCar3D, 14 keypoints located on each",
@@ -235,7 +228,7 @@ def leave_one_out(
     """Hold out each model in turn, learn the symmetric prior from the others, and express the one held out."""
     category = load_category("car14")
     keep = kept_models(models, ())
-    shapes, samples, most = models.keypoints[keep], surface_samples(models, keep, symmetric=True), max(counts)
+    shapes, samples, most = models.keypoints[keep], surface_samples(models, keep), max(counts)
     explained = np.cumsum(pca_prior(category, shapes, basis=most).explained)
     keypoint = np.zeros((len(counts), len(keep), category.size))
     vertex = np.zeros((len(counts), len(keep), samples.vertices.shape[1]))
@@ -275,10 +268,8 @@ def kept_models(models: Apollo79, exclude: Sequence[str]) -> NDArray[np.intp]:
     return np.flatnonzero(kept)
 
 
-def surface_samples(models: Apollo79, keep: NDArray[np.intp], symmetric: bool) -> SurfaceSamples:
-    """Surfaces of some models, as they are or cut along the medial plane and mirrored."""
-    if not symmetric:
-        return SurfaceSamples(models.vertices[keep], models.faces)
+def surface_samples(models: Apollo79, keep: NDArray[np.intp]) -> SurfaceSamples:
+    """Surfaces of some models, cut along the medial plane and mirrored."""
     mesh = mirrored_half((models.vertices[keep] + models.mirrored[keep]) / 2, models.faces)
     return SurfaceSamples(mesh.vertices, mesh.faces, mesh.mirror)
 

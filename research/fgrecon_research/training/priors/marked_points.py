@@ -107,7 +107,7 @@ def marked_prior(
         category,
         shapes,
         basis=basis,
-        surface=surface_samples(models, keep, symmetric=True),
+        surface=surface_samples(models, keep),
         name=category.name,
         provenance={
             "source": (

@@ -91,11 +91,11 @@ def test_silhouettes_are_drawn_once(package, tmp_path):
         image[:, : car.size[0] // 2] = 255
         write_png(car.image, image)
     out = tmp_path / "silhouettes"
-    assert draw_silhouettes(cars, package, out, side=64) == 2
+    assert draw_silhouettes(cars, package, out, side=64) == [car.silhouette(out) for car in cars]
     drawn = cv2.imread(str(out / f"{cars[0].image.stem}.png"), cv2.IMREAD_GRAYSCALE)
     assert drawn.shape == (cars[0].size[1], cars[0].size[0])
     assert drawn[:, 5].min() > 127 > drawn[:, -5].max()
-    assert draw_silhouettes(cars, package, out, side=64) == 0
+    assert draw_silhouettes(cars, package, out, side=64) == []
 
 
 def test_photographs_are_spread_over_shapes_and_directions():
