@@ -393,8 +393,10 @@ def _coco(file: Path, changed: int) -> _Coco:  # noqa: ARG001  # a changed file 
         fields = Fields(data, f"{file}: ")
         entries = fields.get("annotations", list)
         if "categories" in fields:
-            kinds = {plain_id(c["id"]): one_word(c.get("name")) for c in _entries(fields, "categories") if "id" in c}
-        pictures = _entries(fields, "images") if "images" in fields else []
+            kinds = {
+                plain_id(c.data["id"]): one_word(c.data.get("name")) for c in fields.each("categories") if "id" in c
+            }
+        pictures = [one.data for one in fields.each("images", needed=False)]
     if not isinstance(entries, list):
         raise InvalidInputError(str(file), type(entries).__name__, _FIX)
     by_image: dict[int | str | None, list[tuple[int, Fields]]] = defaultdict(list)
@@ -494,7 +496,3 @@ def _alike(folder: Path, other: Path) -> int:
     """How many of their last parts two folders share."""
     pairs = zip(reversed(folder.parts), reversed(other.parts), strict=False)
     return len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
-
-
-def _entries(fields: Fields, name: str) -> list[Mapping[str, Any]]:
-    return [Fields(item, f"{fields.where}{name}[{i}].").data for i, item in enumerate(fields.get(name, list))]

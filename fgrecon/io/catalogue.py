@@ -39,7 +39,7 @@ from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes, write_text
 from fgrecon.io.integrity import check_hash
-from fgrecon.io.json_fields import Fields, parse_json, read_json, within
+from fgrecon.io.json_fields import parse_json, read_fields, within
 
 CUBOID = "cuboid14"
 """Category of vehicles whose shape no prior has: a cuboid, on which `car14`'s keypoints lie."""
@@ -291,14 +291,14 @@ def load_calibration(path: str | Path) -> DetectorCalibration:
             file and field.
     """
     file, where = as_path("calibration", path), f"{path}: "
-    data = Fields(read_json(file), where)
+    data = read_fields(file)
     stated = data.get("format", str)
     if stated != DETECTOR_FORMAT:
         raise InvalidInputError(f"{where}format", stated, f"Give a file of {DETECTOR_FORMAT}: `fgrecon calibrate`.")
     numbers = {name: float(data.numbers(name, ())) for name in DetectorCalibration().numbers}
     edges: dict[str, float] | None = None
     if "boxes" in data:
-        box_fields = Fields(data.get("boxes", dict), f"{where}boxes.")
+        box_fields = data.inner("boxes")
         edges = {entry.name: float(box_fields.numbers(entry.name, ())) for entry in fields(BoxSource)}
     with within(where):
         source = None if edges is None else BoxSource(**edges)

@@ -26,7 +26,7 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.repr import brief_repr
 from fgrecon.io.files import behind_links, write_text
-from fgrecon.io.json_fields import Fields, numbers, read_json
+from fgrecon.io.json_fields import Fields, numbers, read_fields
 
 COCO_KEYPOINTS_FORMAT = "fgrecon.keypoint_labels/1"
 
@@ -224,25 +224,22 @@ def read_coco_keypoints(path: str | Path) -> VehicleLabels:
         InvalidInputError: The file cannot be read, is another one, or is malformed; names file and field.
     """
     source = Path(path)
-    top = Fields(read_json(source), f"{source}: ")
+    top = read_fields(source)
     if top.data.get("format") != COCO_KEYPOINTS_FORMAT:
         fix = "Give what `fgrecon keypoints label` wrote."
         raise InvalidInputError(f"{source}: format", top.data.get("format"), fix)
-    (entry,) = _exactly_one(top, "categories")
-    category = Fields(entry, f"{source}: categories[0].")
+    if len(top.get("categories", list)) != 1:
+        raise InvalidInputError(f"{source}: categories", f"{len(top.data['categories'])} entries", "Give one.")
+    (category,) = top.each("categories")
     names = _texts(category, "keypoints")
     size = len(names)
     skeleton = _indices(category, "skeleton", 2, size + 1)
     if (skeleton < 1).any():
         raise InvalidInputError(f"{category.where}skeleton", 0, "Count keypoints from 1.")
     images: dict[int, LabelledImage] = {}
-    for number, item in enumerate(top.get("images", list)):
-        one = Fields(item, f"{source}: images[{number}].")
+    for one in top.each("images"):
         images[one.get("id", int)] = _read_image(one, _folder_of(source))
-    vehicles = [
-        _read_annotation(Fields(item, f"{source}: annotations[{number}]."), images, size)
-        for number, item in enumerate(top.get("annotations", list))
-    ]
+    vehicles = [_read_annotation(item, images, size) for item in top.each("annotations")]
     faces = None
     if "mesh_faces" in category:
         count = min((len(v.vertices) for v in vehicles if v.vertices is not None), default=0)
@@ -260,15 +257,8 @@ def read_coco_keypoints(path: str | Path) -> VehicleLabels:
 
 def _terms(top: Fields) -> str:
     """The name of the first licence that the file has."""
-    entries = top.get("licenses", list) if "licenses" in top else []
-    return Fields(entries[0], f"{top.where}licenses[0].").get("name", str) if entries else ""
-
-
-def _exactly_one(fields: Fields, name: str) -> Sequence[Any]:
-    entries: list[Any] = fields.get(name, list)
-    if len(entries) != 1:
-        raise InvalidInputError(f"{fields.where}{name}", f"{len(entries)} entries", "Give one.")
-    return entries
+    first = next(top.each("licenses", needed=False), None)
+    return "" if first is None else str(first.get("name", str))
 
 
 def _texts(fields: Fields, name: str) -> tuple[str, ...]:
@@ -312,7 +302,7 @@ def _read_annotation(fields: Fields, images: Mapping[int, LabelledImage], size: 
     probability = fields.numbers("keypoint_probability", (size,))
     if ((probability < 0) | (probability > 1)).any():
         raise InvalidInputError(f"{fields.where}keypoint_probability", probability.tolist(), "Give 0 to 1.")
-    cuboid = Fields(fields.get("cuboid", dict), f"{fields.where}cuboid.")
+    cuboid = fields.inner("cuboid")
     vertices = None
     if "mesh" in fields:
         mesh = fields.get("mesh", list)

@@ -38,6 +38,30 @@ def read_json(path: Path) -> Any:
         raise InvalidInputError(str(path), str(error), "Give a JSON file in UTF-8.") from error
 
 
+def read_fields(path: Path) -> Fields:
+    """The fields of a JSON file that holds an object.
+
+    Raises:
+        InvalidInputError: As `read_json`, or it holds something else.
+    """
+    return Fields(read_json(path), f"{path}: ")
+
+
+def read_records(path: Path, what: str) -> list[Fields]:
+    """The fields of each object of a JSON file that holds a list of them.
+
+    Args:
+        what: Of what, for the error: `a list of ...`.
+
+    Raises:
+        InvalidInputError: As `read_json`, or it holds something else.
+    """
+    entries = read_json(path)
+    if not isinstance(entries, list):
+        raise InvalidInputError(str(path), type(entries).__name__, f"Give {what}.")
+    return [Fields(entry, f"{path}: [{number}].") for number, entry in enumerate(entries)]
+
+
 def parse_json(text: str) -> Any:
     """The content of a JSON text; a byte order mark is passed over.
 
@@ -126,6 +150,23 @@ class Fields:
         if not isinstance(value, kind) or isinstance(value, bool):
             raise InvalidInputError(f"{self.where}{field}", value, f"Give {_ARTICLES[kind]}.")
         return value
+
+    def inner(self, field: str, *, needed: bool = True) -> Fields:
+        """The fields of an object in a field; where it is not needed and not there, none.
+
+        Raises:
+            InvalidInputError: It is missing, or no object.
+        """
+        return Fields(self.get(field, dict) if needed or field in self else {}, f"{self.where}{field}.")
+
+    def each(self, field: str, *, needed: bool = True) -> Iterator[Fields]:
+        """The objects of a list in a field; where it is not needed and not there, none.
+
+        Raises:
+            InvalidInputError: It is missing, no list, or an element is no object.
+        """
+        for number, item in enumerate(self.get(field, list) if needed or field in self else ()):
+            yield Fields(item, f"{self.where}{field}[{number}].")
 
     def whole(self, field: str, least: int = 0) -> int:
         """An integer that tables have room for (64 bits).

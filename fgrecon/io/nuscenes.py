@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_quaternion
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import quaternion_pose, transform
-from fgrecon.io.json_fields import Fields, read_json
+from fgrecon.io.json_fields import Fields, read_records
 
 _TABLES = "calibrated_sensor", "sample_data"
 
@@ -94,11 +94,7 @@ def pose_of(record: Fields) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=8)
 def _table(path: Path, changed: int) -> Mapping[str, Fields]:  # noqa: ARG001  # a changed file is read again
-    data: Any = read_json(path)
-    if not isinstance(data, list):
-        raise InvalidInputError(str(path), type(data).__name__, "Give a table of nuScenes: a list of records.")
-    records = [Fields(item, f"{path}: [{number}].") for number, item in enumerate(data)]
-    return {record.get("token", str): record for record in records}
+    return {record.get("token", str): record for record in read_records(path, "a table of nuScenes: a list of records")}
 
 
 NEAREST = 0.5

@@ -23,7 +23,6 @@ from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, R
 from fgrecon.io.json_fields import within
 
 _POSES, _CALIBRATION = "city_SE3_egovehicle.feather", "calibration"
-_LIDAR = "up_lidar"
 _SECONDS = 1e-9  # of a timestamp
 QUATERNION, PLACE, SIZE = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m"), ("length_m", "width_m", "height_m")
 _NEAREST_NS = {"ring": 25_000_000, "stereo": 100_000_000}  # the devkit's: half of the interval of such cameras

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_quaternion, as_size
 from fgrecon.core.geometry import AHEAD, quaternion_pose
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, WorldBox
-from fgrecon.io.json_fields import Fields, read_json, within
+from fgrecon.io.json_fields import Fields, read_fields, within
 
 _LABELS, _ENDING = "gtBbox3d", "_gtBbox3d.json"
 _IMAGES, _IMAGE_ENDING = "leftImg8bit", "_leftImg8bit.png"
@@ -32,12 +31,12 @@ def _read(name: str, files: Sequence[Path]) -> DataSequence:
     images, moments = [], {}
     for number, file in enumerate(files):
         stem = file.name.removesuffix(_ENDING)
-        fields = Fields(read_json(file), f"{file}: ")
-        sensor = Fields(fields.get("sensor", dict), f"{file}: sensor.")
+        fields = read_fields(file)
+        sensor = fields.inner("sensor")
         there = np.vstack([sensor.numbers("sensor_T_ISO_8855", (3, 4)), [0.0, 0.0, 0.0, 1.0]])
         vehicle_T_camera = np.linalg.inv(there)
         vehicle_T_camera[:3, :3] = vehicle_T_camera[:3, :3] @ AHEAD
-        boxes = tuple(_box(entry, i, stem, file) for i, entry in enumerate(fields.get("objects", list)))
+        boxes = tuple(_box(entry, f"{stem}-{i}") for i, entry in enumerate(fields.each("objects")))
         moments[stem] = Moment(stem, float(number), np.eye(4), boxes)
         size = fields.get("imgWidth", int), fields.get("imgHeight", int)
         images.append(
@@ -61,16 +60,15 @@ def _lens(sensor: Fields, size: tuple[int, int]) -> Camera:
         return Camera(np.array([[fx, 0.0, u0], [0.0, fy, v0], [0.0, 0.0, 1.0]]), image_size=size)
 
 
-def _box(entry: Any, number: int, stem: str, file: Path) -> WorldBox:
-    fields = Fields(entry, f"{file}: objects[{number}].")
-    box = Fields(fields.get("3d", dict), f"{fields.where}3d.")
+def _box(fields: Fields, name: str) -> WorldBox:
+    box = fields.inner("3d")
     quaternion = as_quaternion(f"{box.where}rotation", box.numbers("rotation", (4,)))
     size = as_size(f"{box.where}dimensions", box.numbers("dimensions", (3,)))
     hidden = float(fields.numbers("occlusion", ())) if "occlusion" in fields else np.nan
-    drawn = Fields(fields.data.get("2d") or {}, f"{fields.where}2d.")
+    drawn = fields.inner("2d", needed=False)
     boxes = {CAMERA: _corners(drawn)} if "amodal" in drawn else {}
     return WorldBox(
-        name=f"{stem}-{number}",
+        name=name,
         kind=fields.get("label", str),
         world_T_box=quaternion_pose(quaternion, box.numbers("center", (3,))),
         size=size,

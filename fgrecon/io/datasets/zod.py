@@ -21,7 +21,7 @@ from fgrecon.core.checks import as_quaternion, as_rigid, as_size
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, quaternion_pose
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
-from fgrecon.io.json_fields import Fields, numbers, read_json, within
+from fgrecon.io.json_fields import Fields, numbers, read_fields, read_records, within
 from fgrecon.io.poses import CameraPoses
 
 _LISTS = "trainval-*-*.json"  # of frames, sequences and drives; full or mini
@@ -46,7 +46,7 @@ def _entries(path: Path) -> dict[str, Fields]:
 @lru_cache(maxsize=4)
 def _listed(file: Path, changed: int) -> dict[str, Fields]:  # noqa: ARG001 - a changed file is read again
     kind, found = file.name.split("-")[1], {}
-    for split, entries in Fields(read_json(file), f"{file}: ").data.items():
+    for split, entries in read_fields(file).data.items():
         for number, entry in enumerate(entries if isinstance(entries, list) else ()):
             fields = Fields(entry, f"{file}: {split}[{number}].")
             # the devkit takes both ways of writing names, `camera_frames` and `cameraFrames`
@@ -61,11 +61,8 @@ def _read(name: str, entry: Fields) -> DataSequence:
     lens, vehicle_T_camera, vehicle_T_lidar = _calibration(root / entry.get("calibration_path", str))
     poses = _poses(root / entry.get("ego_motion_path", str))
     key = _seconds(entry, "keyframe_time")
-    cameras = Fields(entry.get("camera_frames", dict), f"{entry.where}camera_frames.")
-    shots = {
-        camera: [Fields(shot, f"{cameras.where}{camera}[{i}].") for i, shot in enumerate(cameras.get(camera, list))]
-        for camera in cameras.data
-    }
+    cameras = entry.inner("camera_frames")
+    shots = {camera: list(cameras.each(camera)) for camera in cameras.data}
     labels = Fields(entry.data.get("annotations") or {}, f"{entry.where}annotations.").data.get("object_detection")
     world_T_vehicle = poses.at(0, key)
     moments: dict[str, Moment] = {}
@@ -121,7 +118,7 @@ def _seconds(fields: Fields, name: str) -> float:
 
 def _calibration(path: Path) -> tuple[Camera, Array, Array]:
     """The camera, its pose and that of the LiDAR in the vehicle's frame."""
-    found = Fields(Fields(read_json(path), f"{path}: ").get("FC", dict), f"{path}: FC.")
+    found = read_fields(path).inner("FC")
     mounts = [
         as_rigid(f"{found.where}{name}", found.numbers(name, (4, 4))) for name in ("extrinsics", "lidar_extrinsics")
     ]
@@ -137,7 +134,7 @@ def _calibration(path: Path) -> tuple[Camera, Array, Array]:
 
 def _poses(path: Path) -> CameraPoses:
     """Of the vehicle by time."""
-    fields = Fields(read_json(path), f"{path}: ")
+    fields = read_fields(path)
     times = fields.numbers("timestamps", (len(fields.get("timestamps", list)),))
     poses = fields.numbers("poses", (len(times), 4, 4))
     order = np.argsort(times, kind="stable").tolist()
@@ -147,18 +144,15 @@ def _poses(path: Path) -> CameraPoses:
 
 def _boxes(path: Path, world_T_lidar: Array, cameras: tuple[str, ...]) -> tuple[WorldBox, ...]:
     """Those that have a 3D box."""
-    found, entries = [], read_json(path)
-    if not isinstance(entries, list):
-        raise InvalidInputError(str(path), type(entries).__name__, "Give a list of labels.")
-    for number, entry in enumerate(entries):
-        fields = Fields(entry, f"{path}: [{number}].")
-        about = Fields(fields.get("properties", dict), f"{fields.where}properties.")
+    found = []
+    for fields in read_records(path, "a list of labels"):
+        about = fields.inner("properties")
         if "location_3d" not in about:
             continue
         quaternion = np.array([about.numbers(f"orientation_3d_q{part}", ()) for part in "wxyz"])
         turn = as_quaternion(f"{about.where}orientation_3d_qw", quaternion)
         size = as_size(f"{about.where}{_SIZES[0]}", np.array([about.numbers(part, ()) for part in _SIZES]))
-        place = Fields(about.get("location_3d", dict), f"{about.where}location_3d.").numbers("coordinates", (3,))
+        place = about.inner("location_3d").numbers("coordinates", (3,))
         drawn = box_around(_outline(fields))
         found.append(
             WorldBox(
@@ -175,7 +169,7 @@ def _boxes(path: Path, world_T_lidar: Array, cameras: tuple[str, ...]) -> tuple[
 
 def _outline(label: Fields) -> Array:
     """(N, 2) the pixels that people have marked of an object: its extreme ones."""
-    geometry = Fields(label.get("geometry", dict), f"{label.where}geometry.")
+    geometry = label.inner("geometry")
     points = geometry.get("coordinates", list)
     if not points:
         raise InvalidInputError(f"{geometry.where}coordinates", "none", "Give the extreme pixels.")

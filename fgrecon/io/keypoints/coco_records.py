@@ -56,8 +56,7 @@ def annotation_records(data: Mapping[str, Any], where: str) -> Iterator[tuple[Re
     top = Fields(data, where)
     kinds = _kinds(top)
     images = {}
-    for number, item in enumerate(top.get("images", list) if "images" in top else []):
-        image = Fields(item, f"{where}images[{number}].")
+    for image in top.each("images", needed=False):
         images[_key(image, "id")] = image
     unlabelled = []
     for number, item in enumerate(top.get("annotations", list)):
@@ -136,8 +135,7 @@ class _Kind:
 def _kinds(top: Fields) -> dict[_Id, _Kind]:
     """The categories; of one without keypoints no annotation is read."""
     kinds: dict[_Id, _Kind] = {}
-    for number, item in enumerate(top.get("categories", list)):
-        kind = Fields(item, f"{top.where}categories[{number}].")
+    for kind in top.each("categories"):
         names = kind.get("keypoints", list) if "keypoints" in kind else []
         if not all(isinstance(name, str) for name in names) or len(set(names)) != len(names):
             raise InvalidInputError(f"{kind.where}keypoints", names, "Give a list of distinct names.")

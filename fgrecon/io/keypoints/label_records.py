@@ -50,17 +50,6 @@ def _is_map(value: Any) -> bool:
     return isinstance(value, Mapping)
 
 
-def _object(fields: Fields, name: str) -> Fields:
-    """A field that is an object; empty where there is none."""
-    return Fields(fields.get(name, dict) if name in fields else {}, f"{fields.where}{name}.")
-
-
-def _objects(fields: Fields, name: str) -> list[Fields]:
-    """The objects of a field that is a list; none where there is no such field."""
-    found = fields.get(name, list) if name in fields else []
-    return [Fields(one, f"{fields.where}{name}[{at}].") for at, one in enumerate(found)]
-
-
 def _each(items: Mapping[Any, Any], make: Callable[[Any, Any], Record | None], where: str) -> Records:
     """The records of items that have points; one that is malformed is its error."""
     for key, item in items.items():
@@ -74,7 +63,7 @@ def _each(items: Mapping[Any, Any], make: Callable[[Any, Any], Record | None], w
 
 
 def _openlabel(fields: Fields) -> Records:
-    content = Fields(fields.get("openlabel", dict), f"{fields.where}openlabel.")
+    content = fields.inner("openlabel")
     objects, streams = (content.data.get(name) or {} for name in ("objects", "streams"))
     frames = content.data.get("frames") or {"": {"objects": objects}}
     for number, frame in frames.items():
@@ -106,12 +95,11 @@ def _openlabel_point(item: Any, where: str) -> tuple[str, list[float]]:
 
 
 def _scalabel(fields: Fields) -> Records:
-    for number, item in enumerate(fields.get("frames", list)):
-        frame = Fields(item, f"{fields.where}frames[{number}].")
+    for frame in fields.each("frames"):
         image = str(frame.data.get("name", "")).rsplit("/", 1)[-1]
 
         def made(key: int, label: Fields, image: str = image) -> Record | None:
-            nodes = _objects(_object(label, "graph"), "nodes")
+            nodes = label.inner("graph", needed=False).each("nodes", needed=False)
             record: Record = {"id": f"{image}:{label.data.get('id', key)}", "image": image}
             record["keypoints"] = {
                 node.get("category", str): [
@@ -122,30 +110,29 @@ def _scalabel(fields: Fields) -> Records:
             }
             record["kind"] = one_word(label.data.get("category") or "Car")
             if label.data.get("box2d") is not None:
-                box = Fields(label.get("box2d", dict), f"{label.where}box2d.")
+                box = label.inner("box2d")
                 record["box"] = [float(box.numbers(name, ())) for name in ("x1", "y1", "x2", "y2")]
             return record
 
-        yield from _each(dict(enumerate(_objects(frame, "labels"))), made, frame.where)
+        yield from _each(dict(enumerate(frame.each("labels", needed=False))), made, frame.where)
 
 
 def _supervisely(fields: Fields) -> Records:
     found: dict[Any, list[Fields]] = defaultdict(list)
-    for number, item in enumerate(fields.get("objects", list)):
-        figure = Fields(item, f"{fields.where}objects[{number}].")
+    for number, figure in enumerate(fields.each("objects")):
         found[plain_id(figure.data.get("instance")) or f"figure {number}"].append(figure)
 
     def made(key: Any, figures: list[Fields]) -> Record | None:
         record: Record = {"id": key, "keypoints": {}}
         for figure in figures:
             if figure.data.get("geometryType") == "graph":
-                for name, item in figure.get("nodes", dict).items():
-                    node = Fields(item, f"{figure.where}nodes.{name}.")
+                nodes = figure.inner("nodes")
+                for name in nodes.data:
+                    node = nodes.inner(name)
                     if not node.data.get("disabled"):
                         record["keypoints"][name] = node.numbers("loc", (2,)).tolist()
             elif figure.data.get("geometryType") == "rectangle":
-                points = Fields(figure.get("points", dict), f"{figure.where}points.")
-                low, high = points.numbers("exterior", (2, 2))
+                low, high = figure.inner("points").numbers("exterior", (2, 2))
                 record["box"] = [*map(min, low, high), *map(max, low, high)]
             record["kind"] = one_word(figure.data.get("classTitle") or "Car")
         return record
@@ -154,15 +141,15 @@ def _supervisely(fields: Fields) -> Records:
 
 
 def _datumaro(fields: Fields) -> Records:
-    categories = Fields(fields.get("categories", dict), f"{fields.where}categories.")
-    labels = [one.data.get("name") for one in _objects(_object(categories, "label"), "labels")]
-    of_points = _objects(_object(categories, "points"), "items")
+    categories = fields.inner("categories")
+    of_kinds = categories.inner("label", needed=False).each("labels", needed=False)
+    labels = [one.data.get("name") for one in of_kinds]
+    of_points = categories.inner("points", needed=False).each("items", needed=False)
     names = {plain_id(one.data.get("label_id")): one.data.get("labels") for one in of_points}
-    for number, item in enumerate(fields.get("items", list)):
-        entry = Fields(item, f"{fields.where}items[{number}].")
-        path = str(_object(entry, "image").data.get("path") or entry.data.get("id", ""))
+    for entry in fields.each("items"):
+        path = str(entry.inner("image", needed=False).data.get("path") or entry.data.get("id", ""))
         groups: dict[Any, list[Fields]] = defaultdict(list)
-        for annotation in _objects(entry, "annotations"):
+        for annotation in entry.each("annotations", needed=False):
             groups[plain_id(annotation.data.get("group")) or "0"].append(annotation)
 
         def made(key: Any, group: list[Fields], path: str = path) -> Record | None:
@@ -192,23 +179,21 @@ def _datumaro_points(points: Fields, names: Any) -> dict[str, list[float]]:
 
 
 def _fiftyone(fields: Fields) -> Records:
-    for number, item in enumerate(fields.get("samples", list)):
-        sample = Fields(item, f"{fields.where}samples[{number}].")
+    for sample in fields.each("samples"):
         image = sample.get("filepath", str).replace("\\", "/").rsplit("/", 1)[-1]
         found: dict[Any, dict[str, Fields]] = defaultdict(dict)
         for name, content in sample.data.items():
             kind = content.get("_cls") if _is_map(content) else None
             if kind not in ("Detections", "Keypoints"):
                 continue
-            for at, one in enumerate(Fields(content, f"{sample.where}{name}.").get(kind.lower(), list)):
-                label = Fields(one, f"{sample.where}{name}.{kind.lower()}[{at}].")
+            for at, label in enumerate(sample.inner(name).each(kind.lower())):
                 index = plain_id(label.data.get("index"))
                 found[f"{kind} {at}" if index is None else index][kind] = label
 
         def made(key: Any, labels: dict[str, Fields], sample: Fields = sample, image: str = image) -> Record | None:
             if "Keypoints" not in labels:
                 return None
-            about = _object(sample, "metadata")
+            about = sample.inner("metadata", needed=False)
             size = [about.whole(side, 1) for side in ("width", "height")]
             kind = labels["Keypoints"].data.get("label") or "Car"
             record: Record = {"id": f"{image}:{key}", "image": image, "kind": one_word(kind)}

@@ -75,7 +75,7 @@ def _reader(item: Any) -> _Reader | None:
 
 
 def _ultralytics(fields: Fields, category: Category, names: Names | None) -> Record:
-    points = Fields(fields.get("keypoints", dict), f"{fields.where}keypoints.")
+    points = fields.inner("keypoints")
     count = len(points.get("x", list))
     columns = [points.numbers(name, (count,)) for name in ("x", "y")]
     if "visible" in points:
@@ -84,7 +84,7 @@ def _ultralytics(fields: Fields, category: Category, names: Names | None) -> Rec
     there = (rows[:, :2] != 0.0).any(axis=1) & (rows[:, -1] > 0.0 if len(columns) == 3 else True)
     record = _named(rows, there, order_of(count, category, names, f"{fields.where}keypoints"))
     if "box" in fields:
-        box = Fields(fields.get("box", dict), f"{fields.where}box.")
+        box = fields.inner("box")
         record["box"] = [float(box.numbers(name, ())) for name in ("x1", "y1", "x2", "y2")]
     if "track_id" in fields:
         record["track"] = fields.whole("track_id")
@@ -93,8 +93,7 @@ def _ultralytics(fields: Fields, category: Category, names: Names | None) -> Rec
 
 def _roboflow(fields: Fields, category: Category, names: Names | None) -> Record:  # noqa: ARG001 - its points have names
     found = {}
-    for number, item in enumerate(fields.get("keypoints", list)):
-        point = Fields(item, f"{fields.where}keypoints[{number}].")
+    for number, point in enumerate(fields.each("keypoints")):
         name = point.data.get("class", point.data.get("class_name", number))
         rows = ("x", "y", *(["confidence"] if "confidence" in point else []))
         found[str(name)] = [float(point.numbers(part, ())) for part in rows]

@@ -97,7 +97,7 @@ def _of_region(items: Sequence[Any], where: str) -> Record:
     record: Record = {"keypoints": {}}
     for item in items:
         fields = Fields(item, f"{where}{item.get('id')}.")
-        value = Fields(fields.get("value", dict), f"{fields.where}value.")
+        value = fields.inner("value")
         size = [float(fields.numbers(name, ())) / _HUNDRED for name in ("original_width", "original_height")]
         x, y = (float(value.numbers(name, ())) * unit for name, unit in zip("xy", size, strict=True))
         label = _first(value, str(item["type"]))
@@ -125,8 +125,7 @@ def _first(value: Fields, name: str) -> str:
 
 def _labelme(fields: Fields) -> Records:
     groups: dict[Any, list[Fields]] = defaultdict(list)
-    for number, item in enumerate(fields.get("shapes", list)):
-        shape = Fields(item, f"{fields.where}shapes[{number}].")
+    for shape in fields.each("shapes"):
         groups[plain_id(shape.data.get("group_id"))].append(shape)
     for group, shapes in groups.items():
         record: Record = {"id": 0 if group is None else group, "keypoints": {}}

@@ -70,6 +70,8 @@ def read_boxes(path: Path, frames: Sequence[int]) -> dict[int, Objects]:
             fix = "Give a folder with files FFFFFF.txt of labelled frames, or a file of tracking lines."
             raise InvalidInputError("results", str(path), fix)
         return {number: _objects(text, str(files[number])) for number, text in texts.items()}
+    if not path.is_file():
+        raise InvalidInputError("results", str(path), "Give a folder of boxes, or a file of tracking lines.")
     tracked = {number: found.objects for number, found in read_tracking(path).items()}
     scored = {n: replace(one, score=np.nan_to_num(one.score, nan=1.0)) for n, one in tracked.items()}
     return {number: scored.get(number, _NOTHING) for number in frames}

@@ -23,7 +23,7 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import MIRROR, pixel_jacobian, rigid, transform
 from fgrecon.core.observation import Observation
-from fgrecon.io.json_fields import Fields, read_json
+from fgrecon.io.json_fields import Fields, read_fields
 from fgrecon_research.io.annotations.offsets import robust_offset
 from fgrecon_research.training.priors.apollo79 import Apollo79
 
@@ -105,7 +105,7 @@ def read_apollocar3d(path: Path, models: Apollo79) -> MarkedCars:
     Raises:
         InvalidInputError: The file cannot be read, or a field is missing or unusable.
     """
-    fields = Fields(read_json(path), f"{path}: ")
+    fields = read_fields(path)
     camera = Camera(fields.numbers("camera_intrinsic", (3, 3)), image_size=_IMAGE_SIZE)
     raw = [
         _read_car(Fields(car, f"{path}: image {image['image_id']}, car {i}: "), f"{image['image_id']}:{i}", models)

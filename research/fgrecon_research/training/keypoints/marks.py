@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.json_fields import Fields, read_json
+from fgrecon.io.json_fields import Fields, read_records
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def read_given_marks(path: Path, images: Sequence[str], category: Category) -> A
     marks = np.full((len(images), category.size, 2), np.nan)
     rows = {name: row for row, name in enumerate(images)}
     for fields in _entries(path):
-        name, points = fields.get("image", str), Fields(fields.get("keypoints", dict), f"{fields.where}keypoints.")
+        name, points = fields.get("image", str), fields.inner("keypoints")
         if name not in rows:
             raise InvalidInputError(f"{fields.where}image", name, "Give a photograph that is learnt from.")
         for keypoint in points.data:
@@ -88,10 +88,7 @@ def read_given_marks(path: Path, images: Sequence[str], category: Category) -> A
 
 
 def _entries(path: Path) -> list[Fields]:
-    entries = read_json(path)
-    if not isinstance(entries, list):
-        raise InvalidInputError(str(path), type(entries).__name__, "Give a list of marked cars.")
-    return [Fields(entry, f"{path}: [{number}].") for number, entry in enumerate(entries)]
+    return read_records(path, "a list of marked cars")
 
 
 def _keypoints(fields: Fields, size: int) -> tuple[Array, NDArray[np.bool_]]:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import view_azimuth
-from fgrecon.io.json_fields import Fields, read_json
+from fgrecon.io.json_fields import read_json, read_records
 from fgrecon.perception.keypoints.layout import KINDS
 from fgrecon_research.training.keypoints.deform import UNKNOWN_KIND
 
@@ -93,25 +93,18 @@ def read_posed_cars(folder: Path) -> list[PosedCar]:
     Raises:
         InvalidInputError: The annotations are missing or malformed; names the field.
     """
-    path = folder / "annotations.json"
-    entries = read_json(path)
-    if not isinstance(entries, list):
-        raise InvalidInputError(str(path), type(entries).__name__, "Give a list of photographs.")
-    cars = []
-    for number, entry in enumerate(entries):
-        fields = Fields(entry, f"{path}: [{number}].")
-        cars.append(
-            PosedCar(
-                image=folder / "images" / fields.get("image", str),
-                size=(fields.get("width", int), fields.get("height", int)),
-                cad_id=fields.get("cad_id", str),
-                matrix=fields.numbers("K", (3, 3)),
-                rotation=_nearest_rotation(fields.numbers("R", (3, 3))),
-                translation=fields.numbers("t", (3,)),
-                name=fields.get("model_name", str) if "model_name" in fields else "",
-            )
+    return [
+        PosedCar(
+            image=folder / "images" / fields.get("image", str),
+            size=(fields.get("width", int), fields.get("height", int)),
+            cad_id=fields.get("cad_id", str),
+            matrix=fields.numbers("K", (3, 3)),
+            rotation=_nearest_rotation(fields.numbers("R", (3, 3))),
+            translation=fields.numbers("t", (3,)),
+            name=fields.get("model_name", str) if "model_name" in fields else "",
         )
-    return cars
+        for fields in read_records(folder / "annotations.json", "a list of photographs")
+    ]
 
 
 def read_validation_ids(path: Path) -> frozenset[str]:
