@@ -71,7 +71,9 @@ class FrameVehicles:
     refused: Mapping[int, FgreconError]  # why others could not be looked at, by id
     classes: Mapping[int, ClassBelief | None]  # of which class each is, by id; None where nothing says
     either: Mapping[int, EitherClass | None]  # what a van instead of a car changes in each; None where that is not open
-    van_odds: Mapping[int, float]  # log odds that each is a van, by all of its frames
+    lower: Mapping[
+        int, tuple[float, float]
+    ]  # by how much lower than it is taken each may stand, see `EitherClass.lower`
 
     def poses(self) -> list[Array]:
         """Pose (4, 4) of each that was looked at."""
@@ -79,12 +81,8 @@ class FrameVehicles:
 
     def ground_evidence(self, known: Marginal, plane: Ground) -> GroundEvidence | None:
         """What those that were looked at say of the ground, of whichever class they are; see `ground_evidence`."""
-        updates, lower = self.updates.values(), dict[int, tuple[float, float]]()
-        for i, (name, update) in enumerate(self.updates.items()):
-            either, prior = self.either[name], update.frame.problem.model.prior
-            if either is not None:
-                size, place = prior.category.box_size(prior.keypoints(*update.shape)), update.frame.pose.translation()
-                lower[i] = either.lower(np.asarray(place), size, plane.normal, self.van_odds[name])
+        updates = self.updates.values()
+        lower = {i: self.lower[name] for i, name in enumerate(self.updates) if name in self.lower}
         return ground_evidence([one.frame for one in updates], [one.shape for one in updates], plane, known, lower)
 
 
@@ -132,8 +130,22 @@ def look_at_vehicles(
     either = {
         name: _either_class(update, tracks.get(name), classes[name], frame, setup) for name, update in updates.items()
     }
-    odds = {name: van_odds(tracks.get(name), one) for name, one in either.items()}
-    return FrameVehicles(updates, refused, classes, either, odds)
+    lower = {name: _lower(update, tracks.get(name), either[name], frame.ground) for name, update in updates.items()}
+    return FrameVehicles(updates, refused, classes, either, {name: one for name, one in lower.items() if one})
+
+
+def _lower(
+    update: VehicleUpdate, track: VehicleTrack | None, either: EitherClass | None, ground: Ground | None
+) -> tuple[float, float] | None:
+    """By how much lower than it is taken a vehicle may stand; None where its class is not open.
+
+    And where no ground is given: sizes alone say then how high the camera is.
+    """
+    if either is None or ground is None:
+        return None
+    prior, place = update.frame.problem.model.prior, np.asarray(update.frame.pose.translation())
+    size = prior.category.box_size(prior.keypoints(*update.shape))
+    return either.lower(place, size, ground.normal, van_odds(track, either))
 
 
 def van_odds(track: VehicleTrack | None, *more: EitherClass | None) -> float:
