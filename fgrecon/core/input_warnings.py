@@ -243,6 +243,8 @@ def _warning_of_keypoints(observation: Observation, camera: Camera) -> InputWarn
     if not observation.measured.any():
         return None
     every = observation.keypoints[observation.measured]
+    if _is_usual(every, observation, camera):
+        return None
     if (camera.matrix[:2, 2] > 1.0).any() and ((every >= 0.0) & (every <= 1.0)).all():
         return InputWarning.UNITS
     points = observation.keypoints[_certain(observation)]
@@ -266,6 +268,21 @@ def _warning_of_keypoints(observation: Observation, camera: Camera) -> InputWarn
     ):
         return InputWarning.BEYOND
     return None
+
+
+def _is_usual(points: Array, observation: Observation, camera: Camera) -> bool:
+    """Whether all points (N, 2) are where those of most vehicles are, of which there is nothing to warn."""
+    (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    if observation.box is not None:
+        wider, (x1, y1, x2, y2) = SETTINGS.beside_box * observation.extent, observation.box.tolist()
+        if not (x1 - wider <= left and y1 - wider <= top and right <= x2 + wider and bottom <= y2 + wider):
+            return False
+    if camera.image_size is None:
+        within = camera.cropped_from_larger or right <= SETTINGS.farthest_right * float(camera.matrix[0, 2])
+    else:
+        width, height = camera.image_size
+        within = min(left, top) >= 0.0 and right <= width and bottom <= height
+    return within and max(right, bottom) > 1.0
 
 
 def strays(observation: Observation, camera: Camera) -> list[tuple[NDArray[np.bool_], str]]:
