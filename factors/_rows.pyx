@@ -500,7 +500,7 @@ cdef class _Place:
     """A source in a system: where its variables are, and its noise."""
 
     cdef Source source
-    cdef int count, graphs, first  # of its variables; bits of graphs; first of `Rows.columns`
+    cdef int count, first  # of its variables; first of `Rows.columns`
     cdef int slots[8]  # where each variable is in `Rows.state`; -1 for one that there is not
     cdef const double[:, ::1] whitener
     cdef bint whitened
@@ -535,9 +535,9 @@ cdef class Rows:
 
         Args:
             variables: Numbers and dimension of each variable.
-            places: Of each source: the source; the bits of the graphs that it is in; for each of its variables the
-                index, a constant (n,) or None for none; the whitener (rows, rows), upper triangular, or None where the
-                rows are whitened; GTSAM's robust estimator or None.
+            places: Of each source: the source; for each of its variables the index, a constant (n,) or None for none;
+                the whitener (rows, rows), upper triangular, or None where the rows are whitened; GTSAM's robust
+                estimator or None.
         """
         cdef _Place place
         cdef Source source
@@ -548,9 +548,9 @@ cdef class Rows:
         self.numbers = end = self.starts[len(variables)]
         self.size, self.places = self.begins[len(variables)], []
         self.columns = np.empty(sum([(<Source> each[0]).columns for each in places]) + 1, dtype=np.intc)
-        for source, graphs, bound, whitener, robust in places:
+        for source, bound, whitener, robust in places:
             place = _Place()
-            place.source, place.graphs, place.robust, place.count, place.first = source, graphs, robust, len(bound), total
+            place.source, place.robust, place.count, place.first = source, robust, len(bound), total
             for i, (variable, (size, dim, needed)) in enumerate(zip(bound, source.takes, strict=True)):
                 start, given = -1, size
                 place.slots[i] = -1
@@ -593,7 +593,7 @@ cdef class Rows:
         cdef _Place first = self.places[0], place = _Place()
         if source.takes != first.source.takes or source.rows != first.source.rows:
             raise ValueError("a source of the same rows and variables is expected")
-        place.source, place.count, place.graphs, place.first = source, first.count, first.graphs, first.first
+        place.source, place.count, place.first = source, first.count, first.first
         memcpy(place.slots, first.slots, sizeof(place.slots))
         place.whitener, place.whitened, place.robust = first.whitener, first.whitened, first.robust
         other.size, other.numbers, other.places = self.size, self.numbers, [place, *self.places[1:]]
@@ -690,14 +690,13 @@ cdef class Rows:
             memcpy(&self.state[0], &point[0], self.numbers * sizeof(double))
         return 0
 
-    def error(self, const double[::1] point, int graph):
-        """Energy of a graph (its bit) at a point, nats."""
+    def error(self, const double[::1] point):
+        """Energy at a point, nats."""
         cdef _Place place
         cdef double total = 0.0
         self.go(point)
         for place in self.places:
-            if place.graphs & graph:
-                total += self.evaluated(place, False)
+            total += self.evaluated(place, False)
         return total
 
     def error_of(self, const double[::1] point, list some):
@@ -708,15 +707,14 @@ cdef class Rows:
             total += self.evaluated(self.places[place], False)
         return total
 
-    def linearise(self, const double[::1] point, int graph):
-        """Energy of a graph at a point, nats; its quadratic form there is what `step` and others are about from then on."""
+    def linearise(self, const double[::1] point):
+        """Energy at a point, nats; the quadratic form there is what `step` and others are about from then on."""
         cdef _Place place
         cdef double total = 0.0
         self.go(point)
         memset(&self.form[0], 0, self.form.shape[0] * sizeof(double))
         for place in self.places:
-            if place.graphs & graph:
-                total += self.evaluated(place, True)
+            total += self.evaluated(place, True)
         return total
 
     def information(self):

@@ -30,36 +30,28 @@ from factors.native import native
 Point = Any
 """Values of all variables as a system has them: an array, or `gtsam.Values`."""
 
-_FIRST, _SECOND = 1, 2
 _MOST_KEYS = 3
 """Variables of a linear factor that GTSAM's Python package makes."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Member:
-    """A factor of a system: its compiled rows if it has them, and the bits of the graphs that it is in."""
+    """A factor of a system: and its compiled rows if it has them."""
 
     factor: Any
     rows: CompiledRows | None
-    graphs: int
 
 
-def system_of(
-    factors: Iterable[Any], values: gtsam.Values, others: Iterable[Any] | None = None
-) -> CompiledSystem | MixedSystem:
+def system_of(factors: Iterable[Any], values: gtsam.Values) -> CompiledSystem | MixedSystem:
     """The system of factors, which may be their compiled rows alone.
 
     Args:
         factors: The factors, as the solver gets them.
         values: All variables.
-        others: Those of another graph of the same variables, some of them the same; None for one graph alone.
     """
-    every: dict[int, tuple[Any, int]] = {}
-    for graph, some in ((_FIRST, factors), (_SECOND, [] if others is None else others)):
-        for factor in some:
-            every[id(factor)] = factor, graph | every.get(id(factor), (None, 0))[1]
     compiles = native("factors._rows") is not None
-    members = [_Member(factor, _rows_of(factor) if compiles else None, graphs) for factor, graphs in every.values()]
+    every = {id(factor): factor for factor in factors}.values()
+    members = [_Member(factor, _rows_of(factor) if compiles else None) for factor in every]
     known = {key for member in members if member.rows is not None for key in member.rows.keys}
     if all(member.rows is not None for member in members) and known.issuperset(values.keys()):
         return CompiledSystem(members, values)
@@ -106,8 +98,8 @@ class CompiledSystem(_System):
 
     def with_rows(self, rows: CompiledRows) -> CompiledSystem:
         """The same with other rows of the same `variables` in the place of its first factor."""
-        other, first, bound = copy(self), self._held[0], self._bound.of(self._rows.with_source(rows.source))
-        held = [_Member(rows, rows, first.graphs), *self._held[1:]]
+        other, bound = copy(self), self._bound.of(self._rows.with_source(rows.source))
+        held = [_Member(rows, rows), *self._held[1:]]
         vars(other).update(_rows=bound.rows, _bound=bound, _held=held)
         return other
 
@@ -129,39 +121,38 @@ class CompiledSystem(_System):
         Raises:
             RuntimeError: Nothing determines some direction.
         """
-        energy = self._rows.linearise(point, _FIRST)
+        energy = self._rows.linearise(point)
         step: Array | None = self._rows.step()
         if step is None:
             raise RuntimeError("an indeterminate system")
         return step, lambda: float(energy)
 
-    def information(self, point: Array, *, second: bool = False) -> Array:
-        """(D, D) of the linear graph at a point, or of the other one, in the order of a step."""
-        self._rows.linearise(point, _SECOND if second else _FIRST)
+    def information(self, point: Array) -> Array:
+        """(D, D) of the linear graph at a point, in the order of a step."""
+        self._rows.linearise(point)
         return self._rows.information()[:-1, :-1]
 
     def covariance(
-        self, point: Array, least: float, keys: Iterable[int] | None = None, *, second: bool = False
+        self, point: Array, least: float, keys: Iterable[int] | None = None
     ) -> Callable[[NDArray[np.intp]], Array] | None:
-        """What is left open of variables by the linear graph at a point, or by the other one.
+        """What is left open of variables by the linear graph at a point.
 
         Args:
             point: Where.
             least: Share of a variable's information that all others must leave.
             keys: Variables that are asked for; None for all.
-            second: Whether it is the other graph.
 
         Returns:
             A function from indices (m,) of a step to the covariance (m, m); of variables that no factor, or what
             elimination makes of factors, is about together it raises KeyError. None where something is undetermined.
         """
-        self._rows.linearise(point, _SECOND if second else _FIRST)
+        self._rows.linearise(point)
         begin = min([self.places[key].start for key in (self.places if keys is None else keys)], default=self.size)
         return self._rows.covariance(begin, least)
 
     def error(self, point: Array) -> float:
-        """Energy of all factors of the first graph at a point, nats."""
-        return float(self._rows.error(point, _FIRST))
+        """Energy of all factors at a point, nats."""
+        return float(self._rows.error(point))
 
     def error_of(self, factors: Iterable[Any], point: Point) -> float:
         """Energy of some of its factors at a point, nats."""
@@ -179,14 +170,12 @@ class MixedSystem(_System):
     def __init__(self, members: Sequence[_Member], values: gtsam.Values) -> None:
         """Bind factors and rows."""
         super().__init__(values)
-        self._rest = {_FIRST: gtsam.NonlinearFactorGraph(), _SECOND: gtsam.NonlinearFactorGraph()}
+        self._rest = gtsam.NonlinearFactorGraph()
         self._held = members  # in GTSAM's keeping factors lose what is Python's
         groups: dict[tuple[int, ...], list[_Member]] = {}
         for member in sorted(members, key=_count, reverse=True):
             if member.rows is None or _count(member) > _MOST_KEYS:
-                for graph, rest in self._rest.items():
-                    if graph & member.graphs:
-                        rest.add(member.factor)
+                self._rest.add(member.factor)
             else:
                 keys = member.rows.keys
                 groups.setdefault(next((g for g in groups if {*keys} <= {*g}), keys), []).append(member)
@@ -210,12 +199,11 @@ class MixedSystem(_System):
             by_key.insert(key, step[place])
         return point.retract(by_key)
 
-    def linear(self, point: gtsam.Values, *, second: bool = False) -> tuple[gtsam.GaussianFactorGraph, float]:
-        """The linear graph at a point, or the other one; and the energy of its compiled factors there, nats."""
-        graph = _SECOND if second else _FIRST
-        linear, energy = self._rest[graph].linearize(point), 0.0
+    def linear(self, point: gtsam.Values) -> tuple[gtsam.GaussianFactorGraph, float]:
+        """The linear graph at a point, and the energy of its compiled factors there, nats."""
+        linear, energy = self._rest.linearize(point), 0.0
         for bound in self._groups:
-            energy += bound.rows.linearise(bound.point(point), graph)
+            energy += bound.rows.linearise(bound.point(point))
             linear.push_back(bound.hessian_factor())
         return linear, energy
 
@@ -229,16 +217,16 @@ class MixedSystem(_System):
         if self._ordering is None:  # of elimination, the same for every step
             self._ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
         step: Array = linear.optimize(self._ordering).vector(gtsam.KeyVector([*self.places]))
-        return step, lambda: energy + float(self._rest[_FIRST].error(point))
+        return step, lambda: energy + float(self._rest.error(point))
 
-    def information(self, point: gtsam.Values, *, second: bool = False) -> Array:
-        """(D, D) of the linear graph at a point, or of the other one, in the order of a step."""
-        return self.linear(point, second=second)[0].hessian(_ordering(self.places))[0]
+    def information(self, point: gtsam.Values) -> Array:
+        """(D, D) of the linear graph at a point, in the order of a step."""
+        return self.linear(point)[0].hessian(_ordering(self.places))[0]
 
     def error(self, point: gtsam.Values) -> float:
         """Energy of all factors of the first graph at a point, nats."""
-        energies = [bound.rows.error(bound.point(point), _FIRST) for bound in self._groups]
-        return float(self._rest[_FIRST].error(point) + sum(energies))
+        energies = [bound.rows.error(bound.point(point)) for bound in self._groups]
+        return float(self._rest.error(point) + sum(energies))
 
     def error_of(self, factors: Iterable[Any], point: Point) -> float:
         """Energy of some of its factors at a point, nats."""
@@ -262,17 +250,17 @@ class _Bound:
         """Bind the rows of members to variables; those that none of them is about are left out."""
         kernel, kinds = native("factors._rows"), {}
         assert kernel is not None
-        compiled = [(member.rows, member.graphs) for member in members if member.rows is not None]
-        for rows, _ in compiled:
+        compiled = [member.rows for member in members if member.rows is not None]
+        for rows in compiled:
             for variable, (numbers, dim, _) in zip(rows.variables, rows.source.takes, strict=True):
                 if isinstance(variable, int):
                     kinds[variable] = numbers, dim
         self._kinds = {key: kinds[key] for key in keys if key in kinds}
         index = {key: i for i, key in enumerate(self._kinds)}
         places = []
-        for rows, graphs in compiled:
+        for rows in compiled:
             bound = [index[variable] if isinstance(variable, int) else variable for variable in rows.variables]
-            places.append((rows.source, graphs, bound, rows.whitener, rows.robust))
+            places.append((rows.source, bound, rows.whitener, rows.robust))
         self._readers = [(_READERS.get(kind, _vector), key) for key, kind in self._kinds.items()]
         self.rows = kernel.Rows([*self._kinds.values()], places)
 

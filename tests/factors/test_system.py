@@ -112,22 +112,6 @@ def test_information_step_and_energy_are_gtsams(apart, some):
         assert system.error(moved) == pytest.approx(graph.error(after), rel=1e-11)
 
 
-def test_another_graph_of_the_same_variables_has_its_own_factors(some):
-    choose, kind = some
-    factors, values = case(2)
-    factors = choose(factors)
-    others = [*factors[:-1], coefficients_prior(L(), 4, 0.3), offsets_prior(O(), [0.2, 0.2, 0.2])]
-    system = system_of(factors, values, others)
-    assert isinstance(system, kind)
-    for second, own in ((True, others), (False, factors)):
-        alone = system_of(own, values)
-        found, expected = (
-            system.information(system.point(values), second=second),
-            alone.information(alone.point(values)),
-        )
-        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-9)
-
-
 @compiled
 def test_nothing_that_is_compiled_calls_python(monkeypatch):
     """Of the factors above only GTSAM's own are not compiled, and one of the caller's own is called back."""
@@ -214,12 +198,12 @@ def test_where_a_step_leads_is_where_gtsams_does(size):
 def test_what_does_not_fit_is_refused_at_the_border():
     drive = KERNEL.Drive(np.nan, 1.0)
     with pytest.raises(ValueError, match="3 numbers"):
-        KERNEL.Rows([(4, 4)], [(drive, 1, (0,), None, None)])
+        KERNEL.Rows([(4, 4)], [(drive, (0,), None, None)])
     with pytest.raises(ValueError, match="missing"):
-        KERNEL.Rows([(3, 3)], [(drive, 1, (None,), None, None)])
+        KERNEL.Rows([(3, 3)], [(drive, (None,), None, None)])
     with pytest.raises(ValueError, match="whitener"):
-        KERNEL.Rows([(3, 3)], [(drive, 1, (0,), np.eye(4), None)])
-    rows = KERNEL.Rows([(3, 3)], [(drive, 1, (0,), np.eye(3), None)])
+        KERNEL.Rows([(3, 3)], [(drive, (0,), np.eye(4), None)])
+    rows = KERNEL.Rows([(3, 3)], [(drive, (0,), np.eye(3), None)])
     for wrong in ([np.zeros(2)], [np.eye(4)]):
         with pytest.raises(ValueError, match="another size"):
             rows.point(wrong)
@@ -227,7 +211,7 @@ def test_what_does_not_fit_is_refused_at_the_border():
         rows.point([])
     for call in (rows.error, rows.linearise):
         with pytest.raises(ValueError, match="a point"):
-            call(np.zeros(4), 1)
+            call(np.zeros(4))
     with pytest.raises(ValueError, match="a step"):
         rows.moved(np.zeros(3), np.zeros(4))
     with pytest.raises(ValueError, match="a place"):

@@ -289,7 +289,7 @@ def test_the_next_vehicles_system_is_as_if_it_were_the_first(free_offsets):
             point = system.point(values)
             weights = graph.reweigh_at(point, state.weights)
             step, energy = graph.step(point, weights, Form.NEWTON)
-            information = system.information(point, second=True)
+            information = system.information(point)
         found.append([step, np.array([energy(), graph.error(point)]), information])
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)
