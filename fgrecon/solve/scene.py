@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
 from time import perf_counter
 
@@ -251,6 +252,7 @@ def _reconstruct(images: _Images, boxes: Sequence[KnownBox | None] | None = None
     margin = setup.options.ambiguity_margin
     status, warnings = unknown_focal(scene.camera.focal_sigma, scene.focal_lengths, margin)
     each = {number: weakened(one, warnings, status) for number, one in each.items()}
+    each = _weakened_where_two_are(each, image_of)
     input_warnings = InputWarnings.of({f"vehicle {n}": warning for n, warning in scene.independent.warnings.items()})
     for number, one in each.items():
         input_warnings.add_result(f"vehicle {number}", vehicles[number].problem.observation, one)
@@ -268,6 +270,19 @@ def _weakened_where_left_out(
     about = [_vehicles_of(factor) for factor in usable]
     missing = set[int]().union(*(some for some in about if not some.isdisjoint(alone)))
     return {n: weakened(one, (_NOT_IN_IT,)) if n in missing else one for n, one in each.items()}
+
+
+def _weakened_where_two_are(each: dict[int, Reconstruction], image_of: list[int]) -> dict[int, Reconstruction]:
+    """The results, weak where two of an image are in one place: one vehicle that was given twice, or a wrong pose."""
+    reasons = dict[int, str]()
+    near = {number: SCENE.same_place_widths * float(one.box_size[1]) for number, one in each.items()}
+    places = {number: one.location.tolist() for number, one in each.items()}
+    for one, other in combinations(each, 2):
+        if image_of[one] == image_of[other] and math.dist(places[one], places[other]) < min(near[one], near[other]):
+            first = image_of.index(image_of[one])
+            for number, there in ((one, other), (other, one)):
+                reasons.setdefault(number, f"vehicle {there - first} is in its place: is one given twice?")
+    return {n: weakened(result, (reasons[n],) if n in reasons else ()) for n, result in each.items()}
 
 
 def _scene_of_image(

@@ -44,6 +44,8 @@ class SceneSettings:
     centimetre, as often closer to the truth as further away."""
     joint_visibility_step: float = 5e-4
     """The same of the scene: half a millimetre, where a result is known to some centimetres at best."""
+    same_place_widths: float = 0.5
+    """Two vehicles nearer than so many widths are one, or one of them is wrong: no others fit there."""
     # The ground; chosen on KITTI's video (docs/explanation/method.md)
     own_height_share: float = 0.35
     """Share of a given ground's deviation that is each vehicle's own. Of a ground that is given more vaguely than

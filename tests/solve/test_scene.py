@@ -70,6 +70,26 @@ def test_a_pitched_camera_is_found_and_cars_come_closer():
     assert np.mean(together) < 0.85 * np.mean(alone)
 
 
+@pytest.mark.parametrize("images", [1, 2])
+def test_a_vehicle_that_is_given_twice_is_named(images):
+    """As by a detector that leaves overlapping boxes; in another image it may be."""
+    _, seen = street(3)
+    again = replace(seen[1], keypoints=seen[1].keypoints + 0.5)
+    given = [[*seen, again]] if images == 1 else [seen, [again]]
+    scenes = reconstruct_scenes(given, CAMERA, size_prior="kitti")
+    found = {(i, n): one for i, s in enumerate(scenes) for n, one in zip(s.numbers, s.vehicles, strict=True)}
+    twice = {key: one.reasons[-1] for key, one in found.items() if any("in its place" in why for why in one.reasons)}
+    if images == 2:
+        assert twice == {}
+        return
+    said = {
+        (0, 1): "vehicle 5 is in its place: is one given twice?",
+        (0, 5): "vehicle 1 is in its place: is one given twice?",
+    }
+    assert twice == said
+    assert all(found[key].status is Status.WEAK for key in twice)
+
+
 @pytest.mark.parametrize(
     ("ground", "size_prior", "furthest"), [(None, "kitti", 0.05), (Ground.of_height(6.0), None, 0.07)]
 )
