@@ -18,6 +18,8 @@ from fgrecon.core.settings import one_of
 _FARTHEST, _NEAREST = 300.0, 0.5  # metres: the median depth of no image with vehicles is larger or smaller
 _LARGEST_RELATIVE = 1.0
 _LEAST_MEASURED = 20  # pixels of which the median tells the unit
+_MIDDLE = 0.25  # of a 2D box's sides, from its middle: pixels that are surely the vehicle's, or of what hides it
+_ALIKE, _LEAST_ALIKE = 2.0, 0.05  # times as far or near, within which a pixel may be the vehicle's; share that is so
 _ROUNDING = 1e-9  # share of the largest number of a covariance that is rounding
 
 
@@ -145,6 +147,25 @@ class DepthMap:
         found = calibration.scale * numbers + calibration.shift
         safe = np.where(found > 0.0, found, np.nan)
         return np.asarray(1.0 / safe if self.inverse else safe)
+
+    def times_too_far(self, box: NDArray[np.float64], metres: float) -> float | None:
+        """How many times as far as a vehicle the pixels of a map in metres are; None where they may be its.
+
+        Args:
+            box: (4,) 2D box of the vehicle, pixels.
+            metres: Its depth.
+        """
+        known = self.known
+        if known is None or (known.scale, known.shift) != (1.0, 0.0) or np.any(known.covariance):
+            return None
+        middle, reach = (box[:2] + box[2:]) / 2.0, _MIDDLE * (box[2:] - box[:2])
+        first, size = np.array(self.corner[::-1]), np.array(self.depth.shape[::-1])
+        low, high = (np.clip(at - first, 0, size).astype(int) for at in (middle - reach, middle + reach + 1.0))
+        found = self.metres(self.depth[low[1] : high[1], low[0] : high[0]], known)
+        ratio = found[np.isfinite(found)] / metres
+        if len(ratio) < _LEAST_MEASURED or (np.abs(np.log(ratio)) < np.log(_ALIKE)).mean() >= _LEAST_ALIKE:
+            return None
+        return float(np.median(ratio))
 
     def along(self, row: NDArray[np.intp], column: NDArray[np.intp], metres: Array, scale: float) -> Array:
         """Standard deviations (M,) of the depths of pixels in metres, with so many metres to a unit."""

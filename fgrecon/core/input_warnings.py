@@ -89,6 +89,8 @@ class InputWarning(StrEnum):
     """The result is in the air, or leans by tens of degrees."""
     FIT = "fit"
     """Hardly one fits the result."""
+    DEPTH = "depth"
+    """By a depth map it is where it is not."""
 
 
 _SENTENCES = {
@@ -110,7 +112,12 @@ _SENTENCES = {
     "air": "The results of {} are high up in the air, or lean by tens of degrees against the camera. Are the camera's "
     "intrinsics right, and the image upright? Of a camera that looks down give the ground.",
     "fit": "Hardly a keypoint of {} fits. Is their order the category's, and are left and right the vehicle's own?",
+    "depth": "The depth map puts {} where it is not, and is not used. Are its numbers metres along the camera's axis, "
+    "and of this image? Else say what they are: scale, scale_and_shift, inverse.",
 }
+
+DEPTHS_ELSEWHERE = "depth: left out"
+"""How `Diagnostics.left_out` begins to say so of a vehicle."""
 
 
 REASONS = {
@@ -123,7 +130,13 @@ REASONS = {
 }
 """Of warnings of a camera: the clauses of results that are weak by it."""
 
-_BEFORE = frozenset(InputWarning) - {InputWarning.MIRRORED, InputWarning.FAR, InputWarning.AIR, InputWarning.FIT}
+_BEFORE = frozenset(InputWarning) - {
+    InputWarning.MIRRORED,
+    InputWarning.FAR,
+    InputWarning.AIR,
+    InputWarning.FIT,
+    InputWarning.DEPTH,
+}
 """What is warned of before a vehicle is solved, whose fit then says nothing more."""
 
 _SUMMED_UP: ContextVar[bool] = ContextVar("summed_up", default=False)
@@ -342,6 +355,8 @@ def result_warning_of(observation: Observation, result: Reconstruction) -> Input
     grounded = "ground" in result.diagnostics.energies  # which says how the camera looks at it
     if result.status.determined and not grounded and in_the_air(result.camera_T_object):
         return InputWarning.AIR
+    if any(line.startswith(DEPTHS_ELSEWHERE) for line in result.diagnostics.left_out):
+        return InputWarning.DEPTH
     return None
 
 

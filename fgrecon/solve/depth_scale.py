@@ -65,7 +65,7 @@ def _pictured(observation: Observation, camera: Camera, setup: SolveSetup) -> tu
     """Where a vehicle is by all but depth maps of unknown scale; None where that says nothing."""
     others = tuple(e for e in observation.evidence if not (isinstance(e, DepthMap) and e.known is None))
     try:
-        model = setup.model_of([observation])
+        model = setup.model_of([observation], [camera])
         problem = Problem.of(replace(observation, evidence=others), camera, model, setup.ground, setup.options)
         return problem, search_pose(problem)
     except FgreconError:  # its own solve says so

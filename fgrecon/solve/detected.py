@@ -51,7 +51,7 @@ class KnownBox:
         if size is not None and not (size.min() >= SHORTEST and size.max() <= LONGEST):
             raise DegenerateProblemError("box3d.size", size.tolist(), f"Give metres: {SIZES}.")
         own = (
-            setup.model_of([observation])
+            setup.model_of([observation], [camera])
             if size is None
             else sized(self.unsized, SizePrior("its box", size, self.errors.size * size))
         )

@@ -27,7 +27,7 @@ from fgrecon.solve.graph.mode_selection import is_flipped
 from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle_part import counts_classes
-from fgrecon.solve.inputs import SolveSetup, has_points
+from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import SCENE
 
@@ -128,7 +128,7 @@ def either_class(
     with_vans = setup.fleet is not None and setup.fleet.traffic is not None
     doubted = with_vans if classes is None else is_open(classes)
     larger = problem.model.size is not None and bool(problem.model.size.larger)
-    usual = doubted and counts_classes(options) and not larger and not has_points([observation])
+    usual = doubted and counts_classes(options) and not larger and not setup.has_points(observation, problem.camera)
     if not usual or not np.isfinite(camera_T_object).all():
         return None
     if alone is not None and classes is None:

@@ -24,7 +24,7 @@ from fgrecon.solve.fitted_class import FittedClass
 from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
 from fgrecon.solve.ground_filter import CameraFrame, KnownGround
 from fgrecon.solve.image_facing import estimate_pose_facing
-from fgrecon.solve.inputs import SolveSetup, has_points
+from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import GROUND_FILTER
@@ -110,7 +110,9 @@ def look_at_vehicles(
         try:
             track = tracks.get(name)
             vehicle, classes[name] = _as_class(observation, track, frame, setup)
-            model_of = setup.model_of([observation]) if vehicle is None else vehicle.past[-1].problem.model
+            model_of = (
+                setup.model_of([observation], [frame.camera]) if vehicle is None else vehicle.past[-1].problem.model
+            )
             problem = Problem.of(observation, frame.camera, model_of, ground, setup.options)
             if vehicle is None or track is None:
                 updates[name] = first_observed(model, problem, frame.time)
@@ -188,8 +190,9 @@ def _as_class(
         belief = belief.renewed
         model = setup.model_for(belief.probability)
     if model is not before or observation.evidence:
-        known = (one.problem.observation for one in vehicle.frames)
-        model = in_traffic(model) if has_points([observation, *known]) else model
+        known = ((one.problem.observation, one.problem.camera) for one in vehicle.frames)
+        pointed = any(setup.has_points(*one) for one in ((observation, frame.camera), *known))
+        model = in_traffic(model) if pointed else model
     return vehicle if model is before else with_model(vehicle, model), belief
 
 

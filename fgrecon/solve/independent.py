@@ -154,7 +154,7 @@ def _alone(
         setup: What holds for all of them.
         steady: Where the solve ends, as `optimise` has it.
     """
-    problem = Problem.of(coupled, camera, setup.model_of([detected]), setup.ground, setup.options)
+    problem = Problem.of(coupled, camera, setup.model_of([detected], [camera]), setup.ground, setup.options)
     problem, start = estimate_pose(problem, detected)
     adjusted = minimise_from_proposals([GraphObservation(problem)], [start], steady=steady)
     return IndependentVehicle(problem, start, adjusted)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from numbers import Real
@@ -30,6 +30,7 @@ from fgrecon.core.size_prior import CLASSES, SizePrior, SizesLike, check_order, 
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior, shipped_class_sizes, shipped_cuboid
 from fgrecon.io.image_size import scale_between
+from fgrecon.solve.proposals.point_term import has_points
 from fgrecon.solve.vehicle.model import VehicleModel, in_traffic, prepare, sized
 
 if TYPE_CHECKING:
@@ -90,18 +91,26 @@ class SolveSetup:
         """Whether the fleet has vans: images tell which vehicles of no class are (`fgrecon.solve.fitted_class`)."""
         return self.fleet is not None and self.fleet.mixed
 
-    def model_of(self, observations: Sequence[Observation]) -> VehicleModel:
+    def model_of(self, observations: Sequence[Observation], cameras: Sequence[Camera]) -> VehicleModel:
         """The prior prepared for a vehicle: for the class that its observations say it is of, else for all.
 
         What several of them say is averaged: a detector takes a vehicle for the same in all its images. Where points
         say how far it is, its size is as free as the traffic's.
+
+        Args:
+            cameras: That of each.
 
         Raises:
             InvalidInputError: A class is none of its scheme.
         """
         classes = self.classes_of(observations)
         model = self.model if classes is None else self.model_for(classes)
-        return in_traffic(model) if has_points(observations) else model
+        pointed = any(self.has_points(*one) for one in zip(observations, cameras, strict=True))
+        return in_traffic(model) if pointed else model
+
+    def has_points(self, observation: Observation, camera: Camera) -> bool:
+        """Whether measured points about a vehicle say how far it is: others of a scan say nothing of it."""
+        return "points" not in self.options.disabled_terms and has_points(observation, camera)
 
     @staticmethod
     def classes_of(observations: Sequence[Observation]) -> dict[str, float] | None:
@@ -125,12 +134,6 @@ class SolveSetup:
         """The prior prepared for a vehicle that is of each class with a probability."""
         share = tuple((name, round(value, 2)) for name, value in classes.items())
         return _of_class(self.prior, self.fleet, self.options.shape.basis_vectors, share)
-
-
-def has_points(observations: Iterable[Observation]) -> bool:
-    """Whether measured points say how far a vehicle is."""
-    every = (one for observation in observations for one in observation.evidence)
-    return any(isinstance(one, Points) and len(one.points) > 0 for one in every)
 
 
 @lru_cache(maxsize=128)  # one object for one class, so that what is prepared for it is found again

@@ -101,7 +101,7 @@ def reconstruct(
     if setup.fits_classes or observation.evidence:
         (observation,) = with_fitted_classes([observation], camera, setup, setup.ground)
     if observation.evidence:
-        model = setup.model_of([observation])
+        model = setup.model_of([observation], [camera])
         (observation,) = with_scales([observation], camera, setup)
     problem, pose = single_pose(observation, camera, model, setup, start)
     posed = perf_counter()

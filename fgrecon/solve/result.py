@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
@@ -11,11 +11,13 @@ import gtsam
 import numpy as np
 
 from fgrecon.core.arrays import Array
-from fgrecon.core.camera import Camera
+from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.checks import own
+from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.detection import calibrated_facing, pose_facing_probability
 from fgrecon.core.geometry import transform
 from fgrecon.core.history import Deferred
+from fgrecon.core.input_warnings import DEPTHS_ELSEWHERE
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import KeypointOptions
@@ -123,9 +125,12 @@ def results(
     found: list[Reconstruction] = []
     shapes: dict[int, Array] = {}
     without: dict[str, Spread | None] = {}  # what is known without a kind of evidence
-    if known.marginals is not None and only is None:
-        for name in dict.fromkeys(one.name for one in graph.sensed):
-            without[name] = marginals_of(graph, known.values, known.weights, silent=name)
+    if known.marginals is not None:
+        wanted = range(len(graph.observations)) if only is None else only
+        keys = (graph.observations[i].pose_key for i in wanted)
+        poses = None if only is None else {key for key in keys if key is not None}
+        for name in sorted({name for i in wanted for name in graph.names_of(i)}):
+            without[name] = marginals_of(graph, known.values, known.weights, poses, silent=name)
     for i, (part, start) in enumerate(zip(graph.observations, starts, strict=True)):
         if only is not None and i not in only:
             continue
@@ -286,11 +291,21 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
             graph_iterations=end.optimum.iterations,
             graph_gain=end.optimum.gain,
             box_excess=box_excess(problem, end.pose, coefficients, camera) if status.determined else float("nan"),
-            left_out=problem.observation.left_out,
+            left_out=(*problem.observation.left_out, *_depths_elsewhere(problem, camera_T_object)),
             **diagnostics,
         ),
     )
     return weakened(found, _reasons(end, box_size, diagnostics["point_weights"])) if status.determined else found
+
+
+def _depths_elsewhere(problem: Problem, camera_T_object: Array) -> Iterator[str]:
+    """What to say of depth maps in metres by which a vehicle is where it is not."""
+    observation, metres = problem.observation, camera_T_object[2, 3]
+    for one in observation.evidence:
+        if isinstance(one, DepthMap) and observation.place is not None and metres > MIN_DEPTH:
+            times = one.times_too_far(observation.place, metres)
+            if times is not None:
+                yield f"{DEPTHS_ELSEWHERE}, its pixels there are {times:.2g} times as far as the vehicle."
 
 
 def _reasons(end: _End, box_size: Array, point_weights: Array) -> tuple[str, ...]:

@@ -216,7 +216,7 @@ def _model(looked: Sequence[tuple[Observation, Camera, SolveSetup]], setup: Solv
         if classes is not None and setup.classes_of([observation]) is None:
             of_class = observation.with_evidence([VehicleClass(classes)])
         fitted += with_fitted_classes([of_class], camera, own, own.ground)
-    return setup.model_of(fitted)
+    return setup.model_of(fitted, [camera for _, camera, _ in looked])
 
 
 def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[Status, str]:

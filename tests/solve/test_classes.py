@@ -211,4 +211,4 @@ def test_a_class_that_there_is_not_is_refused():
 def test_a_networks_kinds_do_not_move_sizes_by_themselves():
     setup = SolveSetup.of("car14", None, None)
     detection = fgrecon.Detection(seen(load_prior("car14")), kinds={"car": 0.1, "van": 0.9, "lorry": 0.0})
-    assert setup.model_of([detection.evidence]).prior.name == "car14"
+    assert setup.model_of([detection.evidence], [CAMERA]).prior.name == "car14"

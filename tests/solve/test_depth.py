@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -24,7 +25,7 @@ from fgrecon import (
 )
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.errors import InvalidInputError
+from fgrecon.errors import ContradictoryInputWarning, InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.point_term import point_terms, with_its_points
@@ -127,6 +128,24 @@ def test_scale_and_shift_are_found(
     assert 0.0 < np.sqrt(covariance[0, 0]) < 0.1 * scale
     for one in found[1:]:  # the image's, which all vehicles share
         assert one.diagnostics.depth_scales == pytest.approx(found[0].diagnostics.depth_scales)
+
+
+@pytest.mark.parametrize("times", [0.1, 5.0])
+def test_a_map_of_another_unit_is_told(street: tuple[list[Observation], np.ndarray], times: float) -> None:
+    seen, depth = street
+    given = DepthMap(times * depth)
+    with pytest.warns(ContradictoryInputWarning, match=r"depth map puts .*metres"):
+        found = reconstruct_scene(seen, CAMERA, evidence=[given], **HOW).vehicles
+    for one in found:
+        (line,) = one.diagnostics.left_out
+        said = re.fullmatch(r"depth: left out, its pixels there are (\S+) times as far as the vehicle\.", line)
+        assert said is not None
+        assert float(said[1]) == pytest.approx(times, rel=0.35)  # by the picture alone places are as far off
+    tracker = Tracker(options=OPTIONS)
+    told = tracker.update(0.0, {0: seen[0]}, camera=CAMERA, ground=1.65, evidence=[given])[0]
+    assert told.reconstruction.diagnostics.left_out
+    right = reconstruct_scene(seen, CAMERA, evidence=[DepthMap(depth)], **HOW).vehicles
+    assert not any(one.diagnostics.left_out for one in right)
 
 
 def test_an_error_that_all_pixels_share_is_found(street: tuple[list[Observation], np.ndarray]) -> None:

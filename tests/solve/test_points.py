@@ -16,6 +16,7 @@ from fgrecon import (
     Observation,
     Options,
     Points,
+    Reconstruction,
     SizePrior,
     Tracker,
     reconstruct,
@@ -146,7 +147,7 @@ def test_the_best_starts_are_those_of_the_least_energies(count: int, monkeypatch
     observation, points = scanned(-0.8, PLACE)
     setup = SolveSetup.of(PRIOR, "kitti", OPTIONS, 1.65)
     given = observation.with_evidence([Points(points)])
-    energy = Problem.of(given, CAMERA, setup.model_of([given]), setup.ground, OPTIONS).energy
+    energy = Problem.of(given, CAMERA, setup.model_of([given], [CAMERA]), setup.ground, OPTIONS).energy
     assert energy.points
     rng = np.random.default_rng(3)
     poses = np.tile(np.eye(4), (60, 1, 1))
@@ -238,6 +239,9 @@ def test_over_images_and_over_time() -> None:
     for i, (one, points) in enumerate(frames):
         estimates = tracker.update(i / 10.0, {7: one}, camera=CAMERA, ground=1.65, evidence=[Points(points)])
     assert np.linalg.norm(estimates[7].reconstruction.location - places[-1]) < 0.3
+    smoothed = [one.reconstruction for one in tracker.smooth()[7]]
+    for found in (*track.frames, estimates[7].reconstruction, *smoothed):
+        assert found.diagnostics.evidence["points"] > 1.0
     kept = [one.problem.observation.evidence[0].points for one in tracker._tracks[7].vehicle.past]
     assert max(map(len, kept)) <= len(estimates[7].reconstruction.diagnostics.points) + 20 < len(frames[0][1])
     (seen, points), far = frames[-1], np.array([[30.0, 1.0, 40.0], [0.0, 1.0, 90.0]])
@@ -258,12 +262,28 @@ def test_points_of_another_frame_are_refused() -> None:
         reconstruct_track([observation, observation], CAMERA, evidence=[[]])
 
 
-def test_points_elsewhere_change_nothing() -> None:
-    observation, _ = scanned(0.4, PLACE)
-    elsewhere = Points(np.array([[-8.0, 1.0, 30.0]] * 50))
-    alone = reconstruct(observation, CAMERA, ground=1.65, options=OPTIONS)
-    sensed = reconstruct(observation, CAMERA, ground=1.65, options=OPTIONS, evidence=[elsewhere])
+@pytest.mark.parametrize("kind", ["vehicle", "image", "track", "online"])
+def test_points_elsewhere_change_nothing(kind: str) -> None:
+    """Nor does the size get free by them: two points about a vehicle are as good as none."""
+    observation, points = scanned(0.4, PLACE)
+    elsewhere = Points(np.concatenate([np.array([[-8.0, 1.0, 30.0 + i] for i in range(50)]), points[:2]]))
+    how = {"ground": 1.65, "size_prior": "kitti", "options": OPTIONS}
+
+    def solved(evidence: list[Points]) -> Reconstruction:
+        if kind == "vehicle":
+            return reconstruct(observation, CAMERA, evidence=evidence, **how)
+        if kind == "image":
+            return reconstruct_scene([observation], CAMERA, evidence=evidence, **how).vehicles[0]
+        if kind == "track":
+            return reconstruct_track([observation] * 2, CAMERA, evidence=[evidence] * 2, **how).frames[1]
+        tracker = Tracker(size_prior="kitti", options=OPTIONS)
+        for i in range(2):
+            found = tracker.update(i / 10.0, {0: observation}, camera=CAMERA, ground=1.65, evidence=evidence)
+        return found[0].reconstruction
+
+    alone, sensed = solved([]), solved([elsewhere])
     assert np.array_equal(alone.camera_T_object, sensed.camera_T_object)
+    assert np.array_equal(alone.box_size, sensed.box_size)
 
 
 def test_points_can_be_left_out_as_any_term() -> None:

@@ -137,7 +137,7 @@ def _pixels(depth: ScaledDepth, box: Array, camera: Camera) -> tuple[Array, Arra
     _, first = np.unique((row // step) * width + column // step, return_index=True)
     row, column = row[first] + rows.start, column[first] + columns.start
     metres = depth.metres(row, column)
-    nearest, farthest = _depths(box, camera)
+    nearest, farthest = _depths(box, float(camera.matrix[1, 1]), camera.image_size)
     along = depth.given.along(row, column, metres, depth.calibration.scale)
     kept = (metres + 2.0 * along > max(nearest, MIN_DEPTH)) & (metres - 2.0 * along < farthest) & (metres > MIN_DEPTH)
     if not kept.any():
@@ -179,14 +179,31 @@ def with_its_points(observation: Observation, camera: Camera) -> Observation:
     return replace(observation, evidence=tuple(some)) if some else observation
 
 
+def has_points(observation: Observation, camera: Camera) -> bool:
+    """Whether an observation has enough points about where its vehicle must be for a term of them."""
+    box, given = observation.place, [one for one in observation.evidence if isinstance(one, Points)]
+    if box is None or not given:
+        return False
+    return sum(len(_about(one, box, camera)) for one in given) >= POINTS.least_points
+
+
 def _about(given: Points, box: Array, camera: Camera) -> NDArray[np.intp]:
     """Indices of the points about where the vehicle in a 2D box must be, thinned to one a cell."""
-    size = box[2:] - box[:2]
-    margin = POINTS.frustum_margin * float(size.max())
-    nearest, farthest = _depths(box, camera)
-    column, row, depth, cell = _placed(given, camera.matrix.tobytes())
-    index = np.flatnonzero((column > box[0] - margin) & (column < box[2] + margin) & (depth < farthest))
-    index = index[(row[index] > box[1] - margin) & (row[index] < box[3] + margin)]
+    return _chosen(given, tuple(box.tolist()), camera.matrix.tobytes(), camera.image_size)
+
+
+@lru_cache(maxsize=16)  # whether there are any is asked before they are used
+def _chosen(
+    given: Points, box: tuple[float, ...], intrinsics: bytes, image_size: tuple[int, int] | None
+) -> NDArray[np.intp]:
+    """The same by what can be remembered."""
+    left, top, right, bottom = box
+    margin = POINTS.frustum_margin * max(right - left, bottom - top)
+    focal = float(np.frombuffer(intrinsics)[4])
+    nearest, farthest = _depths(np.array(box), focal, image_size)
+    column, row, depth, cell = _placed(given, intrinsics)
+    index = np.flatnonzero((column > left - margin) & (column < right + margin) & (depth < farthest))
+    index = index[(row[index] > top - margin) & (row[index] < bottom + margin)]
     index = index[depth[index] > max(nearest, MIN_DEPTH)]
     _, first = np.unique(cell[index], return_index=True)
     return index[np.sort(first)]
@@ -203,12 +220,11 @@ def _placed(given: Points, intrinsics: bytes) -> tuple[Array, Array, Array, NDAr
     return column, row, depth, (cells[:, 0] * _CELLS + cells[:, 1]) * _CELLS + cells[:, 2]
 
 
-def _depths(box: Array, camera: Camera) -> tuple[float, float]:
+def _depths(box: Array, focal: float, image_size: tuple[int, int] | None) -> tuple[float, float]:
     """The nearest and the farthest depth at which some vehicle fills a 2D box, metres."""
-    focal = float(camera.matrix[1, 1])
     nearest, farthest = (focal * metres / float(box[3] - box[1]) for metres in POINTS.heights_m)
-    if camera.image_size is not None and (
-        box[1] <= SETTINGS.border_pixels or box[3] >= camera.image_size[1] - 1.0 - SETTINGS.border_pixels
+    if image_size is not None and (
+        box[1] <= SETTINGS.border_pixels or box[3] >= image_size[1] - 1.0 - SETTINGS.border_pixels
     ):
         nearest = 0.0  # the image shows a part of its height
     return nearest, farthest
