@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.files import read_text
+from fgrecon.io.text_lines import named_lines, numbers
 
 _FOCAL_TOLERANCE = 0.01  # pixels
 _RECTIFYING = "R0_rect", "R_rect", "R_rect_00"
@@ -65,23 +65,21 @@ def read_calibration(path: Path, projection: str = "P2") -> KittiCalibration:
     Raises:
         InvalidInputError: The file cannot be read, the line is missing or is no projection; names file and line.
     """
-    lines = read_text(path, "calib").splitlines()
-    content = dict(map(_named, lines))
+    content = named_lines(path, "calib")
     raw = f"P_rect_{projection.removeprefix('P'):0>2}"
     line = projection if projection in content or raw not in content else raw
     place = f"{path}: {line}"
     fix = f"Give a KITTI calibration file with a line '{projection}:' and twelve numbers, K [I | t] row by row."
     if line not in content:
         raise InvalidInputError(place, "no such line", fix)
-    numbers = _numbers(content[line], 12, place, fix)
+    matrix = numbers(content[line], 12, place, fix).reshape(3, 4)
     size = None
     name = f"S_rect_{line[-2:]}"
     if line.startswith("P_rect_") and name in content:
-        width, height = _numbers(content[name], 2, f"{path}: {name}", "Give width and height in pixels.")
+        width, height = numbers(content[name], 2, f"{path}: {name}", "Give width and height in pixels.")
         if min(width, height) < 1:
             raise InvalidInputError(f"{path}: {name}", [width, height], "Give width and height in pixels.")
         size = int(width), int(height)
-    matrix = numbers.reshape(3, 4)
     try:
         camera = Camera(matrix[:, :3], image_size=size or rectified_size(matrix))
     except InvalidInputError as error:
@@ -94,34 +92,24 @@ def read_calibration(path: Path, projection: str = "P2") -> KittiCalibration:
     return KittiCalibration(camera, offset, lidar)
 
 
-def _named(line: str) -> tuple[str, list[str]]:
-    """The name of a line and its words; the tracking set has no colon after some names."""
-    name, colon, value = line.partition(":")
-    if colon:
-        return name.strip(), value.split()
-    words = line.split()
-    return (words[0], words[1:]) if words else ("", [])
-
-
 def _lidar(path: Path, content: Mapping[str, list[str]], offset: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """(4, 4) from the LiDAR's frame to that of a camera at an offset (3,) from the rectified one; None without it."""
     rectified = next((name for name in _RECTIFYING if name in content), None)
     name = next((name for name in _LIDAR if name in content), None)
     rotation = np.eye(3)
     if name != _ODOMETRY and rectified is not None:  # odometry's is of the rectified frame
-        rotation = _numbers(content[rectified], 9, f"{path}: {rectified}", "Give a rotation: nine numbers.").reshape(
-            3, 3
-        )
+        fix = "Give a rotation: nine numbers."
+        rotation = numbers(content[rectified], 9, f"{path}: {rectified}", fix).reshape(3, 3)
     beside = path.parent / _RAW_LIDAR
     motion = np.eye(4)
     if name is not None:
         fix = "Give twelve numbers, [R | t] row by row."
-        motion[:3] = _numbers(content[name], 12, f"{path}: {name}", fix).reshape(3, 4)
+        motion[:3] = numbers(content[name], 12, f"{path}: {name}", fix).reshape(3, 4)
     elif beside.is_file() and path.name != _RAW_LIDAR:
-        parts = dict(map(_named, read_text(beside, "calib").splitlines()))
+        parts = named_lines(beside, "calib")
         fix = "Give lines R: and T: of nine and three numbers."
-        motion[:3, :3] = _numbers(parts.get("R", []), 9, f"{beside}: R", fix).reshape(3, 3)
-        motion[:3, 3] = _numbers(parts.get("T", []), 3, f"{beside}: T", fix)
+        motion[:3, :3] = numbers(parts.get("R", []), 9, f"{beside}: R", fix).reshape(3, 3)
+        motion[:3, 3] = numbers(parts.get("T", []), 3, f"{beside}: T", fix)
     else:
         return None
     motion[:3] = rotation @ motion[:3]
@@ -150,13 +138,3 @@ def calibration_beside(image: Path) -> KittiCalibration | None:
 @lru_cache(maxsize=64)
 def _calibration(path: Path, projection: str) -> KittiCalibration:
     return read_calibration(path, projection)
-
-
-def _numbers(words: list[str], count: int, place: str, fix: str) -> NDArray[np.float64]:
-    try:
-        numbers = np.array(words, dtype=np.float64)
-    except ValueError:
-        raise InvalidInputError(place, " ".join(words), fix) from None
-    if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise InvalidInputError(place, " ".join(words), fix)
-    return numbers

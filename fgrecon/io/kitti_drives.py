@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
 from fgrecon.io.kitti_files import Objects, TrackedObjects, parse_object, read_tracking
+from fgrecon.io.text_lines import filled_lines
 
 IMAGES_PER_SECOND = 10.0
 """Of KITTI's drives."""
@@ -164,15 +164,11 @@ def read_object_folder(folder: Path) -> Drive:
     for number, image in _images(folder / "image_2"):
         path = folder / _SINGLE / f"{image.stem}.txt"
         rows = []
-        for at, line in enumerate(
-            read_text(path, "labels", "Give a label file for every image.").splitlines(), start=1
-        ):
-            if not line.strip():
-                continue
+        for place, line in filled_lines(path, "labels", "Give a label file for every image."):
             try:
                 rows.append(parse_object(line))
             except ValueError as error:
-                raise InvalidInputError(f"{path}:{at}", str(error), "Give lines of an object label.") from error
+                raise InvalidInputError(place, str(error), "Give lines of an object label.") from error
         frames.append(
             DriveFrame(
                 number=number,

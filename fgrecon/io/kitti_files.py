@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.files import read_text
+from fgrecon.io.text_lines import filled_lines
 
 DETECTION_CLASSES = {"1": "Pedestrian", "2": "Car", "3": "Cyclist"}
 _DETECTION_NUMBERS = {name.lower(): number for number, name in DETECTION_CLASSES.items()}
@@ -168,11 +168,8 @@ def read_tracking(path: Path, fix: str = _FIX, *, results: bool = True) -> dict[
     Raises:
         InvalidInputError: The file cannot be read, or a line has another format; names file and line.
     """
-    lines = read_text(path, "labels", fix).splitlines()
     rows: dict[int, list[tuple[int, str, list[float]]]] = defaultdict(list)
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
+    for place, line in filled_lines(path, "labels", fix):
         try:
             frame, track, rest = line.split(maxsplit=2)
             scored = results and len(rest.split()) > LABEL_COLUMNS
@@ -180,7 +177,7 @@ def read_tracking(path: Path, fix: str = _FIX, *, results: bool = True) -> dict[
             known = int(np.int64(int(frame))), int(np.int64(int(track)))
             rows[known[0]].append((known[1], kind, numbers if scored else [*numbers, np.nan]))
         except (ValueError, OverflowError) as error:
-            raise InvalidInputError(f"{path}:{number}", str(error), _FIX) from error
+            raise InvalidInputError(place, str(error), _FIX) from error
     return {
         frame: TrackedObjects(
             Objects.of_rows([kind for _, kind, _ in found], np.array([numbers for _, _, numbers in found])),

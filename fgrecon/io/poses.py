@@ -23,8 +23,8 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_finite, as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import rigid
-from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import numbers, read_json
+from fgrecon.io.text_lines import filled_lines
 
 _FIX = "Give lines of 12 numbers (KITTI) or of 8 (TUM), or JSON with matrices 4 x 4."
 _KITTI, _TUM = 12, 8
@@ -83,14 +83,12 @@ def read_poses(path: Path) -> CameraPoses:
     """
     if path.suffix.lower() == ".json":
         return _of_json(path)
-    lines = read_text(path, "poses", _FIX).splitlines()
     by_frame: dict[int, Array] = {}
     timed: dict[float, Array] = {}
-    for number, line in enumerate(lines, start=1):
+    for place, line in filled_lines(path, "poses", _FIX):
         words = line.partition("#")[0].replace(",", " ").split()
         if not words:
             continue
-        place = f"{path}:{number}"
         try:
             values = np.array(words, dtype=np.float64)
         except ValueError as error:

@@ -40,6 +40,7 @@ from fgrecon.io.image_size import scale_between
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, parse_keypoints
 from fgrecon.io.kitti_files import read_tracking
+from fgrecon.io.text_lines import filled_lines
 from fgrecon.io.track_file import parse_track
 from fgrecon.video.association import AssociationSettings
 from fgrecon.video.records import Sighting
@@ -247,9 +248,7 @@ def _mot(path: Path, source: FrameSource | None, left_out: Counter[str]) -> _Row
     """MOT's boxes. Its frames count from 1, as its images do, those of a video from 0; other classes are counted."""
     first = 0 if source is None or (isinstance(source, ImageFrames) and source.numbered) else 1
     rows = []
-    for place, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1):
-        if not line.strip():
-            continue
+    for place, line in filled_lines(path, "tracks"):
         try:
             values = np.array(line.split(","), dtype=np.float64)
             (frame, identity), size = values[:2].astype(np.int64).tolist(), values[4:6]
@@ -257,7 +256,7 @@ def _mot(path: Path, source: FrameSource | None, left_out: Counter[str]) -> _Row
             if not (whole and frame >= first and (size > 0).all() and _MOT_COLUMNS <= len(values) <= _MOT_COLUMNS + 4):
                 raise ValueError(line)
         except ValueError as error:
-            raise InvalidInputError(f"{path}:{place}", line[:80], _MOT_FIX) from error
+            raise InvalidInputError(place, line[:80], _MOT_FIX) from error
         if len(values) == _MOT_LABEL_COLUMNS and (values[7] != _MOT_CAR or values[6] == 0):
             left_out["not to be considered" if values[6] == 0 else f"of class {values[7]:g}"] += 1
             continue

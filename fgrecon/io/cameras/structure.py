@@ -23,6 +23,7 @@ from fgrecon.io.cameras.camera_file_names import named_camera
 from fgrecon.io.cameras.rigs import MountedCamera
 from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import Fields, within
+from fgrecon.io.text_lines import filled_lines
 
 _HALF = 0.5  # pixels: the centre of COLMAP's first pixel
 _FIX = "Give COLMAP's file of cameras as it wrote it."
@@ -101,15 +102,15 @@ def _camera(found: Mapping[str, float], model: str, size: tuple[int, int], where
 
 def _of_text(path: Path) -> dict[str, _Line]:
     found = {}
-    for number, line in enumerate(read_text(path, "camera", _FIX).splitlines(), start=1):
+    for place, line in filled_lines(path, "camera", _FIX):
         words = line.split()
-        if not words or words[0].startswith("#"):
+        if words[0].startswith("#"):
             continue
         try:
             size = int(words[2]), int(words[3])
             found[words[0]] = _Line(words[1], size, tuple(map(float, words[4:])))
         except (IndexError, ValueError):
-            raise InvalidInputError(f"{path}:{number}", line[:80], _FIX) from None
+            raise InvalidInputError(place, line[:80], _FIX) from None
     return found
 
 

@@ -22,8 +22,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import rigid
 from fgrecon.core.lens import MEI
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
-from fgrecon.io.datasets.lines import as_pose, named_lines, named_matrix, named_pose, numbers
 from fgrecon.io.files import read_text
+from fgrecon.io.text_lines import as_pose, filled_lines, named_lines, named_matrix, named_pose, numbers
 
 _CAMERAS = {"image_00": "data_rect", "image_01": "data_rect", "image_02": "data_rgb", "image_03": "data_rgb"}
 """Folders of the images; the last two are fisheyes."""
@@ -107,10 +107,8 @@ def _labels(path: Path, part: str, name: str) -> Path:
 def _frames(path: Path) -> dict[int, Array]:
     """(4, 4) world_T_vehicle by frame."""
     found = {}
-    for number, line in enumerate(read_text(path, "poses").splitlines(), start=1):
-        if not line.strip():
-            continue
-        values = numbers(line.split(), 13, f"{path}:{number}")
+    for place, line in filled_lines(path, "poses"):
+        values = numbers(line.split(), 13, place)
         found[int(values[0])] = as_pose(values[1:])
     return found
 

@@ -19,9 +19,9 @@ from fgrecon.core.checks import as_size
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import rigid
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
-from fgrecon.io.datasets.lines import named_lines, named_matrix, numbers
 from fgrecon.io.files import read_text
 from fgrecon.io.kitti_calibration import read_calibration
+from fgrecon.io.text_lines import filled_lines, named_lines, named_matrix, numbers
 
 _CAMERAS = {f"image_{i:02d}": f"P{i}" for i in range(4)}
 _CALIB, _TRACKLETS = "calib_cam_to_cam.txt", "tracklet_labels.xml"
@@ -91,15 +91,13 @@ def _motion(path: Path) -> Array:
 def _times(path: Path) -> list[float]:
     """Seconds of the frames since midnight."""
     found = []
-    for number, line in enumerate(read_text(path, "times").split("\n"), start=1):
-        if not line.strip():
-            continue
+    for place, line in filled_lines(path, "times"):
         whole, _, part = line.strip().partition(".")
         try:
             moment = time.strptime(whole, "%Y-%m-%d %H:%M:%S")
             found.append(3600 * moment.tm_hour + 60 * moment.tm_min + moment.tm_sec + float(f"0.{part or 0}"))
         except ValueError:
-            raise InvalidInputError(f"{path}:{number}", line, "Give a time such as 2011-09-26 13:02:25.6.") from None
+            raise InvalidInputError(place, line, "Give a time such as 2011-09-26 13:02:25.6.") from None
     return found
 
 

@@ -14,7 +14,6 @@ from typing import Any
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import refuse_results
 from fgrecon.io.keypoints.coco_records import annotation_records, is_annotations
@@ -23,6 +22,7 @@ from fgrecon.io.keypoints.network_records import network_instances
 from fgrecon.io.keypoints.pascal3d import read_anchors
 from fgrecon.io.keypoints.tool_records import cvat_records, is_tool_file, tool_records
 from fgrecon.io.keypoints.yolo_pose import is_yolo_pose, yolo_pose_records
+from fgrecon.io.text_lines import filled_lines
 
 _CAMERA = ("K", "intrinsics", "distortion", "distortion_model", "image_size")
 
@@ -118,13 +118,10 @@ def carfusion_records(path: Path) -> Iterator[tuple[dict[str, Any], str]]:
     Raises:
         InvalidInputError: The file cannot be read, or a line is malformed; names it.
     """
-    lines = read_text(path, "file").splitlines()
     order = scheme_keypoints("carfusion")
     cars: dict[int, dict[str, list[float]]] = {}
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        u, v, keypoint, car, visibility = _numbers(line, f"{path}:{number}", len(order))
+    for place, line in filled_lines(path, "file"):
+        u, v, keypoint, car, visibility = _numbers(line, place, len(order))
         points = cars.setdefault(int(car), {})
         if u > 0 and v > 0:
             points[order[int(keypoint) - 1]] = [u, v, _CONFIDENCE[visibility]]

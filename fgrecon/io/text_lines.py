@@ -1,8 +1,8 @@
-"""Numbers in lines of text, as KITTI's data sets have them."""
+"""Lines of text and the numbers in them, as KITTI's data sets and others have them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +12,33 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import read_text
 
 
-def named_lines(path: Path) -> Mapping[str, list[str]]:
-    """The words of each line `name: words`.
+def filled_lines(path: Path, field: str, fix: str = "") -> Iterator[tuple[str, str]]:
+    """The lines of a file that are not blank, each after its place for an error: `file:number`.
+
+    Args:
+        field: What an error calls the file, where it cannot be read.
+        fix: What to give instead; empty for what is wrong with it.
+
+    Raises:
+        InvalidInputError: It cannot be read.
+    """
+    for number, line in enumerate(read_text(path, field, fix).splitlines(), start=1):
+        if line.strip():
+            yield f"{path}:{number}", line
+
+
+def named_lines(path: Path, field: str = "calibration") -> Mapping[str, list[str]]:
+    """The words of each line `name: words`; KITTI's tracking set has no colon after some names.
 
     Raises:
         InvalidInputError: The file cannot be read.
     """
-    lines = (line.partition(":") for line in read_text(path, "calibration").splitlines())
-    return {name.strip(): values.split() for name, _, values in lines}
+    found = {}
+    for _, line in filled_lines(path, field):
+        before, colon, after = line.partition(":")
+        name, *words = [before.strip(), *after.split()] if colon else line.split()
+        found[name] = words
+    return found
 
 
 def named_matrix(lines: Mapping[str, list[str]], name: str, shape: tuple[int, int], path: Path) -> Array:
@@ -48,7 +67,7 @@ def as_pose(values: Array) -> Array:
     return np.vstack([values.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
 
 
-def numbers(words: Sequence[str], count: int, where: str) -> Array:
+def numbers(words: Sequence[str], count: int, where: str, fix: str = "") -> Array:
     """So many numbers.
 
     Raises:
@@ -57,7 +76,7 @@ def numbers(words: Sequence[str], count: int, where: str) -> Array:
     try:
         values = np.array(words, dtype=np.float64)
     except ValueError:
-        raise InvalidInputError(where, " ".join(words)[:80], f"Give {count} numbers.") from None
+        values = np.zeros(0)
     if len(values) != count or not np.isfinite(values).all():
-        raise InvalidInputError(where, " ".join(words)[:80], f"Give {count} numbers.")
+        raise InvalidInputError(where, " ".join(words), fix or f"Give {count} numbers.")
     return values
