@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from fgrecon.io.kitti_files import Objects
 from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
 from fgrecon_research.evaluation.boxes3d import LabelledBox
 from fgrecon_research.evaluation.kitti_devkit import LEAST_LABELS, REGIMES, Space, evaluate
-from fgrecon_research.evaluation.measures import THRESHOLDS
+from fgrecon_research.evaluation.measures import THRESHOLDS, bands
 from fgrecon_research.evaluation.text_table import TextTable, number_or_dash
 
 LEAST_OVERLAPS = (0.5, 0.7)
@@ -74,11 +73,8 @@ def summarise(vehicles: Sequence[LabelledBox]) -> dict[str, OverlapSummary]:
 
 def by_distance(name: str, vehicles: Sequence[LabelledBox]) -> dict[str, list[LabelledBox]]:
     """Vehicles by the distance of their labels, under a name and the metres."""
-    bands = {}
-    for low, high in pairwise(DISTANCES):
-        place = f"{low:.0f}-{high:.0f} m" if np.isfinite(high) else f"beyond {low:.0f} m"
-        bands[f"{name} {place}"] = [one for one in vehicles if low <= one.distance < high]
-    return bands
+    by_metres = bands(vehicles, DISTANCES, lambda one: one.distance, "m", "beyond {}")
+    return {f"{name} {metres}": members for metres, members in by_metres.items()}
 
 
 def summarise_group(vehicles: Sequence[LabelledBox]) -> OverlapSummary:

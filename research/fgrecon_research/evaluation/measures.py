@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -11,6 +15,23 @@ from fgrecon.core.metrics import FAILURE_DEGREES
 
 THRESHOLDS = (5, 15, 30)
 """Thresholds of the average orientation precision, degrees."""
+
+Member = TypeVar("Member")
+
+
+def bands(
+    members: Sequence[Member], edges: Sequence[float], value: Callable[[Member], float], unit: str, last: str
+) -> dict[str, list[Member]]:
+    """Groups from each edge on up to the next, which is in the next group; names are as `15-30 m`.
+
+    Args:
+        last: Name of a group that has no end, with `{}` for where it begins.
+    """
+    found = {}
+    for low, high in pairwise(edges):
+        name = f"{low:g}-{high:g} {unit}" if np.isfinite(high) else last.format(f"{low:g} {unit}")
+        found[name] = [one for one in members if low <= value(one) < high]
+    return found
 
 
 def instances_within(errors: ArrayLike, threshold: float) -> int:

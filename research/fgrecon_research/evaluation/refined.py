@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
 from fgrecon.simulation.sample import disturbed_boxes
 from fgrecon_research.evaluation.boxes_summary import DISTANCES
+from fgrecon_research.evaluation.measures import bands
 
 _OVERLAP = 0.5  # in the image, above which a box is a labelled vehicle's
 _WORSE = 5.0  # percent of the distance
@@ -132,9 +132,7 @@ def compare(vehicles: Sequence[RefinedVehicle]) -> dict[str, Comparison]:
     groups["all"] = list(vehicles)
     for one in vehicles:
         groups[one.drive].append(one)
-    for low, high in pairwise(DISTANCES):
-        name = f"{low:.0f}-{high:.0f} m" if np.isfinite(high) else f"beyond {low:.0f} m"
-        groups[name] = [one for one in vehicles if low <= one.distance < high]
+    groups |= bands(vehicles, DISTANCES, lambda one: one.distance, "m", "beyond {}")
     return {name: _comparison(members) for name, members in groups.items() if members}
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from fgrecon.core.serialise import finite
 from fgrecon.io.kitti_files import Objects
 from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
 from fgrecon_research.evaluation.kitti_devkit import Space, overlap
-from fgrecon_research.evaluation.measures import THRESHOLDS
+from fgrecon_research.evaluation.measures import THRESHOLDS, bands
 from fgrecon_research.evaluation.text_table import TextTable, number_or_dash
 
 # Whether estimates are as sure as they say: squared errors by their own covariances (NEES).
@@ -69,6 +68,7 @@ def consistency(errors: Sequence[float], dimension: int, tracks: int) -> Consist
 FORMAT = "fgrecon.video-images/1"
 _NEXT = 2  # frames: labelled boxes are in every second one at least
 _SIZES = (25.0, 40.0, 60.0, 120.0, np.inf)  # pixels of the box's height
+_ON = "from {} on"
 _DISTANCES = (0.0, 10.0, 20.0, 30.0, 50.0, np.inf)  # metres
 _POINTS = (0.0, 5.0, 20.0, 100.0, 500.0, np.inf)  # of a LiDAR in the labelled box
 _OVERLAPPING = MINIMUM_OVERLAP["Car"]  # in 3D, from which on KITTI takes a box for a car's
@@ -143,6 +143,7 @@ def group_boxes(boxes: Sequence[VideoBox]) -> dict[str, dict[str, list[VideoBox]
 
     `cars_easy` are cars that are fully visible and at least 40 px high, `cars_moderate` those occluded partly at most.
     """
+    pointed = [one for one in boxes if one.points is not None]
     groups: dict[str, dict[str, list[VideoBox]]] = {
         "drive": {name: [b for b in boxes if b.drive == name] for name in dict.fromkeys(b.drive for b in boxes)},
         "regime": _pick(
@@ -156,11 +157,11 @@ def group_boxes(boxes: Sequence[VideoBox]) -> dict[str, dict[str, list[VideoBox]
         )
         | {"all": list(boxes)},
         "view": {view.value: [b for b in boxes if b.view is view] for view in View},
-        "height": _bands(boxes, _SIZES, lambda b: b.height, "px"),
+        "height": bands(boxes, _SIZES, lambda b: b.height, "px", _ON),
         "occlusion": {name: [b for b in boxes if b.occlusion == level] for level, name in _OCCLUSIONS.items()}
         | {"unknown": [b for b in boxes if b.occlusion not in _OCCLUSIONS]},
-        "distance": _bands(boxes, _DISTANCES, lambda b: b.distance, "m"),
-        "points": _bands([b for b in boxes if b.points is not None], _POINTS, lambda b: float(b.points or 0), "points"),
+        "distance": bands(boxes, _DISTANCES, lambda b: b.distance, "m", _ON),
+        "points": bands(pointed, _POINTS, lambda b: float(b.points or 0), "points", _ON),
     }
     filled = {by: {name: some for name, some in named.items() if some} for by, named in groups.items()}
     return {by: named for by, named in filled.items() if named}
@@ -168,17 +169,6 @@ def group_boxes(boxes: Sequence[VideoBox]) -> dict[str, dict[str, list[VideoBox]
 
 def _pick(boxes: Sequence[VideoBox], rules: Mapping[str, Callable[[VideoBox], bool]]) -> dict[str, list[VideoBox]]:
     return {name: [box for box in boxes if rule(box)] for name, rule in rules.items()}
-
-
-def _bands(
-    boxes: Sequence[VideoBox], edges: Sequence[float], value: Callable[[VideoBox], float], unit: str
-) -> dict[str, list[VideoBox]]:
-    """Groups from each edge on up to the next, which is in the next group."""
-    found = {}
-    for low, high in pairwise(edges):
-        name = f"{low:g}-{high:g} {unit}" if np.isfinite(high) else f"from {low:g} {unit} on"
-        found[name] = [box for box in boxes if low <= value(box) < high]
-    return found
 
 
 def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> PoseSummary:

@@ -27,6 +27,7 @@ from fgrecon.io.kitti_files import (
     parse_detection,
     parse_object,
 )
+from fgrecon.io.text_lines import filled_lines
 
 
 class Defect(StrEnum):
@@ -70,7 +71,7 @@ def stated_model(path: Path) -> BoxModel | None:
         InvalidInputError: The file cannot be read, or its lines do not agree.
     """
     found: set[BoxModel | None] = set()
-    for line in read_text(path, "file").splitlines():
+    for _, line in filled_lines(path, "file"):
         with suppress(ValueError):  # reported by whoever reads the boxes
             found.add(parse_detection(line).model)
     if len(found) > 1:
@@ -119,23 +120,12 @@ def read_image_set(path: Path) -> tuple[str, ...]:
     return frames
 
 
-def read_labels(folder: Path, frames: Sequence[str]) -> tuple[dict[str, Objects], list[Fault]]:
-    """Labels of the frames that have a file `<frame>.txt`; the others are problems."""
-    return _read_files(folder, frames, scored=False)
+def read_labels(folder: Path, frames: Sequence[str], *, scored: bool = False) -> tuple[dict[str, Objects], list[Fault]]:
+    """Labels of the frames that have a file `<frame>.txt`, or results (16 columns); the others are problems.
 
-
-def read_results(folder: Path, frames: Sequence[str]) -> tuple[dict[str, Objects], list[Fault]]:
-    """Results (16 columns) of the frames that have a file `<frame>.txt`.
-
-    Frames without a file and files of other frames are problems; so are empty files, which count as no detection.
+    Raises:
+        InvalidInputError: There is no such folder.
     """
-    objects, problems = _read_files(folder, frames, scored=True)
-    unknown = sorted({path.stem for path in folder.glob("*.txt")} - set(frames))
-    problems += [Fault(Defect.UNKNOWN_FRAME, str(folder / f"{name}.txt"), "not in the image set") for name in unknown]
-    return objects, problems
-
-
-def _read_files(folder: Path, frames: Sequence[str], *, scored: bool) -> tuple[dict[str, Objects], list[Fault]]:
     if not folder.is_dir():
         raise InvalidInputError("folder", str(folder), "Give a folder with one text file a frame.")
     found: dict[str, Objects] = {}
@@ -167,15 +157,13 @@ def read_detections(path: Path, frames: Sequence[str]) -> tuple[dict[str, Object
     rows: dict[str, list[DetectionLine]] = {frame: [] for frame in frames}
     problems: list[Fault] = []
     strangers: Counter[str] = Counter()
-    for number, line in enumerate(read_text(path, "file").splitlines(), start=1):
-        if not line.strip():
-            continue
+    for place, line in filled_lines(path, "file"):
         try:
             detection = parse_detection(line)
             if detection.label not in DETECTION_CLASSES:
                 raise ValueError(f"class {detection.label} in '{line}' is none of {', '.join(DETECTION_CLASSES)}")
         except ValueError as error:
-            problems.append(Fault(Defect.MALFORMED_LINE, f"{path}:{number}", str(error)))
+            problems.append(Fault(Defect.MALFORMED_LINE, place, str(error)))
             continue
         frame = Path(detection.image).stem
         if frame in rows:

@@ -18,7 +18,7 @@ from fgrecon_research.evaluation.kitti_devkit import (
     overlap,
     regime_members,
 )
-from fgrecon_research.io.kitti_sets import parse_objects, read_labels, read_results
+from fgrecon_research.io.kitti_sets import parse_objects, read_labels
 
 SPACES = {Space.IMAGE: "detection", Space.GROUND: "detection_ground", Space.VOLUME: "detection_3d"}
 
@@ -41,7 +41,7 @@ def test_every_number_of_the_official_evaluator_is_met(data, name, kind):
     root = data / "kitti_devkit_output" / name
     frames = sorted(path.stem for path in (root / "data").glob("*.txt"))
     labels, _ = read_labels(data / "kitti_object" / "training" / "label_2", frames)
-    results, _ = read_results(root / "data", frames)
+    results, _ = read_labels(root / "data", frames, scored=True)
     expected = json.loads((root / "expected.json").read_text())
     for space, measure in SPACES.items():
         curves = evaluate(labels, results, kind, space)

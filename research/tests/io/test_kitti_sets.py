@@ -13,7 +13,6 @@ from fgrecon_research.io.kitti_sets import (
     read_detections,
     read_image_set,
     read_labels,
-    read_results,
     stated_model,
     write_results,
 )
@@ -60,7 +59,7 @@ def test_results_written_are_read_back(tmp_path):
     write_results(tmp_path, {"000001": objects, "000002": objects.take(np.array([False, False]))})
     lines = (tmp_path / "000001.txt").read_text().splitlines()
     assert [len(line.split()) for line in lines] == [16, 16]
-    back, problems = read_results(tmp_path, ["000001", "000002"])
+    back, problems = read_labels(tmp_path, ["000001", "000002"], scored=True)
     assert count_defects(problems) == {"empty file": 1}
     assert back["000001"].kind == ("Car", "Van")
     for name in ("truncation", "occlusion", "alpha", "box", "size", "location", "rotation_y", "score"):
@@ -86,17 +85,9 @@ def test_missing_empty_and_unreadable_label_files_are_named(tmp_path):
     assert "000003.txt" in {p.defect: str(p) for p in problems}[Defect.UNREADABLE_FILE]
 
 
-def test_results_for_an_unknown_frame_are_named(tmp_path):
-    (tmp_path / "000001.txt").write_text(f"{CAR} 1.0\n")
-    (tmp_path / "000009.txt").write_text(f"{CAR} 1.0\n")
-    results, problems = read_results(tmp_path, ["000001"])
-    assert list(results) == ["000001"]
-    assert [(p.defect, p.place) for p in problems] == [(Defect.UNKNOWN_FRAME, str(tmp_path / "000009.txt"))]
-
-
 def test_labels_are_no_results(tmp_path):
     (tmp_path / "000001.txt").write_text(f"{CAR}\n")
-    assert count_defects(read_results(tmp_path, ["000001"])[1]) == {"malformed line": 1}
+    assert count_defects(read_labels(tmp_path, ["000001"], scored=True)[1]) == {"malformed line": 1}
 
 
 def test_a_missing_folder_is_refused(tmp_path):
