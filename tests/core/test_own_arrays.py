@@ -45,6 +45,7 @@ MAKE = {
             "sigma": np.full(3, 0.1),
             "traffic": 0.1 * np.eye(3),
             "allowed": np.full(3, 0.1),
+            "own": 0.05 * np.eye(3),
         },
     ),
     "surface": (fgrecon.Surface, {name: getattr(PRIOR.surface, name) for name in ("mean", "basis", "faces")}),

@@ -61,6 +61,15 @@ def test_a_car_that_is_sure_to_be_one_is_of_its_fleet():
         np.testing.assert_array_equal(classed.location, plain.location)
 
 
+def test_sizes_of_either_class_are_those_of_each_and_what_is_between():
+    sizes, probabilities = shipped_class_sizes(), {"car": 0.7, "van": 0.3}
+    mixed = sizes.size(probabilities, None, any_fleet=False)
+    between = sizes.mean["van"] - sizes.mean["car"]
+    np.testing.assert_allclose(mixed.spread, mixed.own_spread + 0.21 * np.outer(between, between), atol=1e-12)
+    lorries = sizes.size({"lorry": 0.7, "bus": 0.3}, None, any_fleet=False)  # which nothing counts one beside the other
+    np.testing.assert_array_equal(lorries.own_spread, lorries.spread)
+
+
 def test_each_vehicle_of_a_scene_has_its_own(van):
     cars = load_prior("car14").for_fleet(SIZE_PRIORS["kitti"])
     seen_by = [seen(cars, PLACES[0]), seen(van, PLACES[1], evidence=(VehicleClass("van"),)), seen(cars, PLACES[2])]

@@ -149,3 +149,17 @@ def test_a_class_that_the_first_frame_tells_stays(vehicles):
 
 def test_frames_that_say_nothing_leave_both_alike():
     assert mean_log_odds([None]) == 0.0
+
+
+def test_a_van_is_as_unsure_as_vans_are(vehicles):
+    """Among cars the covariances are those of cars: for a van the spread of vans takes the place of theirs."""
+    setup = SolveSetup.of("car14", "kitti", None, 1.65)
+    found = fgrecon.reconstruct(vehicles[0], CAMERA, size_prior=OWN, ground=1.65)
+    problem = Problem.of(vehicles[0], CAMERA, setup.model, setup.ground, setup.options)
+    either = either_class(problem, found.camera_T_object, found.shape.coefficients, setup, None)
+    way = either.size / np.linalg.norm(either.size)
+    there = replace(found, shape=replace(found.shape, box_size=either.car_size + either.size))
+    before, after = (way @ one.uncertainty.size_covariance @ way for one in (there, either.added_to(there, 30.0)))
+    van, car = (setup.model_as(name).size.own_spread for name in ("van", "car"))
+    assert after - before == pytest.approx(way @ (van - np.diag(OWN.sigma**2)) @ way, rel=1e-6)
+    assert way @ car @ way < way @ van @ way

@@ -166,10 +166,11 @@ def test_fleets_differ_by_all_their_dimensions_alike():
     assert spread[0, 1] == pytest.approx(0.9 * 0.32 * 0.18)
 
 
-@pytest.mark.parametrize("traffic", [np.eye(2), -np.eye(3), [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]])
-def test_traffic_is_a_covariance(traffic):
-    with pytest.raises(InvalidInputError, match=r"size_prior\.traffic"):
-        SizePrior("some", np.ones(3), np.ones(3), traffic)
+@pytest.mark.parametrize("field", ["traffic", "own"])
+@pytest.mark.parametrize("given", [np.eye(2), -np.eye(3), [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]])
+def test_what_sizes_vary_by_is_a_covariance(field, given):
+    with pytest.raises(InvalidInputError, match=rf"size_prior\.{field}"):
+        SizePrior("some", np.ones(3), np.ones(3), **{field: given})
 
 
 @pytest.mark.parametrize("allowed", [np.zeros(3), np.ones(2), [0.1, np.nan, 0.1]])
