@@ -128,7 +128,7 @@ def either_class(
     with_vans = setup.fleet is not None and setup.fleet.traffic is not None
     doubted = with_vans if classes is None else is_open(classes)
     larger = problem.model.size is not None and bool(problem.model.size.larger)
-    usual = doubted and counts_classes(options) and not larger and not setup.has_points(observation, problem.camera)
+    usual = doubted and counts_classes(options) and not larger and not setup.is_measured(observation, problem.camera)
     if not usual or not np.isfinite(camera_T_object).all():
         return None
     if alone is not None and classes is None:

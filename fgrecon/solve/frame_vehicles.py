@@ -191,8 +191,8 @@ def _as_class(
         model = setup.model_for(belief.probability)
     if model is not before or observation.evidence:
         known = ((one.problem.observation, one.problem.camera) for one in vehicle.frames)
-        pointed = any(setup.has_points(*one) for one in ((observation, frame.camera), *known))
-        model = in_traffic(model) if pointed else model
+        measured = any(setup.is_measured(*one) for one in ((observation, frame.camera), *known))
+        model = in_traffic(model) if measured else model
     return vehicle if model is before else with_model(vehicle, model), belief
 
 

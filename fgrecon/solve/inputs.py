@@ -30,7 +30,7 @@ from fgrecon.core.size_prior import CLASSES, SizePrior, SizesLike, check_order, 
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior, shipped_class_sizes, shipped_cuboid
 from fgrecon.io.image_size import scale_between
-from fgrecon.solve.proposals.point_term import has_points
+from fgrecon.solve.proposals.point_term import measured_by
 from fgrecon.solve.vehicle.model import VehicleModel, in_traffic, prepare, sized
 
 if TYPE_CHECKING:
@@ -105,12 +105,14 @@ class SolveSetup:
         """
         classes = self.classes_of(observations)
         model = self.model if classes is None else self.model_for(classes)
-        pointed = any(self.has_points(*one) for one in zip(observations, cameras, strict=True))
-        return in_traffic(model) if pointed else model
+        measured = any(self.is_measured(*one) for one in zip(observations, cameras, strict=True))
+        return in_traffic(model) if measured else model
 
-    def has_points(self, observation: Observation, camera: Camera) -> bool:
-        """Whether measured points about a vehicle say how far it is: others of a scan say nothing of it."""
-        return "points" not in self.options.disabled_terms and has_points(observation, camera)
+    def is_measured(self, observation: Observation, camera: Camera) -> bool:
+        """Whether points or pixels about a vehicle measure how far it is: others of a scan say nothing of it."""
+        if not observation.evidence:
+            return False
+        return any(name not in self.options.disabled_terms for name in measured_by(observation, camera))
 
     @staticmethod
     def classes_of(observations: Sequence[Observation]) -> dict[str, float] | None:

@@ -80,11 +80,15 @@ def marginalise(graph: Graph, optimum: Optimum, at_once: Collection[int] | None 
     graph.look(values)
     keys: set[int] | None = None
     if at_once is not None:
-        parts = [part for i, part in enumerate(graph.observations) if i in at_once]
-        keys = {part.pose_key for part in parts if part.pose_key is not None}
-        keys |= {key for vehicle in graph.vehicles.values() for key in vehicle.shape.keys}
-        keys |= graph.shared.known.keys()
+        keys = _keys_of(graph, at_once) | graph.shared.known.keys()
     return Marginalised(values, weights, marginals_of(graph, values, weights, keys))
+
+
+def _keys_of(graph: Graph, indices: Collection[int]) -> set[int]:
+    """Of the poses of some observations, and of all shapes."""
+    parts = [part for i, part in enumerate(graph.observations) if i in indices]
+    keys = {part.pose_key for part in parts if part.pose_key is not None}
+    return keys | {key for vehicle in graph.vehicles.values() for key in vehicle.shape.keys}
 
 
 def _common(part: ObservationPart, weights: Weights) -> Weights:
@@ -127,10 +131,9 @@ def results(
     without: dict[str, Spread | None] = {}  # what is known without a kind of evidence
     if known.marginals is not None:
         wanted = range(len(graph.observations)) if only is None else only
-        keys = (graph.observations[i].pose_key for i in wanted)
-        poses = None if only is None else {key for key in keys if key is not None}
+        keys = None if only is None else _keys_of(graph, only)
         for name in sorted({name for i in wanted for name in graph.names_of(i)}):
-            without[name] = marginals_of(graph, known.values, known.weights, poses, silent=name)
+            without[name] = marginals_of(graph, known.values, known.weights, keys, silent=name)
     for i, (part, start) in enumerate(zip(graph.observations, starts, strict=True)):
         if only is not None and i not in only:
             continue

@@ -148,6 +148,14 @@ def test_a_map_of_another_unit_is_told(street: tuple[list[Observation], np.ndarr
     assert not any(one.diagnostics.left_out for one in right)
 
 
+def test_sure_pixels_free_the_size_and_others_do_not(street: tuple[list[Observation], np.ndarray]) -> None:
+    seen, depth = street
+    setup = SolveSetup.of(PRIOR, "kitti", OPTIONS, 1.65)
+    maps = [DepthMap(depth, relative_sigma=0.01), DepthMap(depth), DepthMap(depth, shared_sigma=0.01)]
+    observations = [seen[0].with_evidence([one]) for one in maps]
+    assert [setup.is_measured(one, CAMERA) for one in observations] == [True, False, False]
+
+
 def test_an_error_that_all_pixels_share_is_found(street: tuple[list[Observation], np.ndarray]) -> None:
     seen, depth = street
     shifted = 1.0 / (1.0 / depth - 0.004)

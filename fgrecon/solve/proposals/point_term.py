@@ -6,6 +6,7 @@ is generous on purpose: which of them are the vehicle's is decided by the energy
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -179,12 +180,25 @@ def with_its_points(observation: Observation, camera: Camera) -> Observation:
     return replace(observation, evidence=tuple(some)) if some else observation
 
 
-def has_points(observation: Observation, camera: Camera) -> bool:
-    """Whether an observation has enough points about where its vehicle must be for a term of them."""
-    box, given = observation.place, [one for one in observation.evidence if isinstance(one, Points)]
-    if box is None or not given:
+def measured_by(observation: Observation, camera: Camera) -> Iterator[str]:
+    """What measures how far an observation's vehicle is: terms of enough points, or of sure pixels, about it."""
+    box, every = observation.place, observation.evidence
+    if box is None:
+        return
+    if sum(len(_about(one, box, camera)) for one in every if isinstance(one, Points)) >= POINTS.least_points:
+        yield POINTS_NAME
+    for one in every:
+        if isinstance(one, DepthMap) and one.known is not None and _is_sure(scaled_depth(one), box, camera):
+            yield DEPTH_NAME
+
+
+def _is_sure(depth: ScaledDepth, box: Array, camera: Camera) -> bool:
+    """Whether a map's pixels about a vehicle, which share no error, are sure of their depths."""
+    if depth.shared:
         return False
-    return sum(len(_about(one, box, camera)) for one in given) >= POINTS.least_points
+    pixels, along = _pixels(depth, box, camera)
+    share = along / np.linalg.norm(pixels, axis=1)
+    return len(pixels) >= POINTS.least_points and bool(np.median(share) < POINTS.sure_depth_share)
 
 
 def _about(given: Points, box: Array, camera: Camera) -> NDArray[np.intp]:

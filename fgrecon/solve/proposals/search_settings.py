@@ -100,6 +100,9 @@ class PointSettings:
     """The same as `independent_points` of pixels of a depth map, whose errors are alike in neighbouring pixels."""
     pixel_sigma: float = 1.0
     """Of a depth map, across the rays."""
+    sure_depth_share: float = 0.02
+    """Of the distance, by which pixels of a depth map are unsure at most that measure how far a vehicle is: by stereo,
+    which is less sure, cars came out worse with sizes as free as beside points."""
     most_pixels: int = 150
     """Of a depth map that are used of a vehicle."""
     most_points: int = 200
