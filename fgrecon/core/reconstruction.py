@@ -18,7 +18,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
 from fgrecon.core.repr import brief_repr
 from fgrecon.core.result_fields import FIELDS, Regions, Status, read_fields
-from fgrecon.core.rounding import rounded
+from fgrecon.core.rounding import rounded_plain
 from fgrecon.core.serialise import as_arrow, as_pandas, plain
 
 if TYPE_CHECKING:
@@ -348,11 +348,12 @@ class Reconstruction:
             history: Keep history and graph in the compact form too, with every bit.
         """
         names = [name for name, f in FIELDS.items() if not (compact and f.large)]
-        kept = {name: plain(self._field(name)) for name in names if not FIELDS[name].spare or len(self._field(name))}
+        each = ((name, self._field(name)) for name in names)
+        kept = {name: value for name, value in each if not FIELDS[name].spare or len(value)}
         if not compact:
-            return {"format": FORMAT, **kept}
+            return {"format": FORMAT, **{name: plain(value) for name, value in kept.items()}}
         steps = {name: plain(self._field(name)) for name in ("history", "graph") if history}
-        return {"format": COMPACT, **{name: rounded(name, value) for name, value in kept.items()}, **steps}
+        return {"format": COMPACT, **{name: rounded_plain(name, value) for name, value in kept.items()}, **steps}
 
     def _field(self, name: str) -> Any:
         group = FIELDS[name].group

@@ -6,6 +6,10 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
+import numpy as np
+
+from fgrecon.core.serialise import plain
+
 DECIMALS: Mapping[str, int] = {
     "camera_T_object": 9,
     "coefficients": 9,
@@ -45,6 +49,24 @@ def rounded(name: str, value: Any) -> Any:
     if isinstance(value, list) and value and isinstance(value[0], dict):
         return [{key: rounded(key, item) for key, item in entry.items()} for entry in value]
     return value
+
+
+def rounded_plain(name: str, value: Any) -> Any:
+    """`rounded` of what is not plain yet; arrays as a whole, of which results have most."""
+    digits = DECIMALS.get(name)
+    cut = digits is not None or name in SIGNIFICANT
+    is_array = isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.ndim > 0 and value.size > 0
+    if not (cut and is_array and np.isfinite(value).all()):
+        return rounded(name, plain(value))
+    numbers = value.ravel().tolist()
+    if digits is not None:
+        found = [round(number, digits) for number in numbers]
+    else:
+        words = " ".join([f"%.{SIGNIFICANT[name]}g"] * len(numbers)) % tuple(numbers)
+        found = [float(word) for word in words.split()]
+    for count in value.shape[:0:-1]:
+        found = [found[start : start + count] for start in range(0, len(found), count)]
+    return found
 
 
 def _each(cut: Callable[[float], float], value: Any) -> Any:

@@ -13,7 +13,8 @@ from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.result_fields import FIELDS
-from fgrecon.core.rounding import DECIMALS, SIGNIFICANT
+from fgrecon.core.rounding import DECIMALS, SIGNIFICANT, rounded, rounded_plain
+from fgrecon.core.serialise import plain
 from fgrecon.io.catalogue import load_prior, save_prior
 from fgrecon.io.export import read_results
 from tests.cli.conftest import K, car
@@ -61,6 +62,15 @@ def test_the_compact_form_keeps_the_digits_that_it_promises():
     rounded = [name for name in FIELDS if name not in (*DECIMALS, *SIGNIFICANT, *EXACT, "alternatives")]
     for name in rounded:
         assert_same(value_of(back, name), value_of(result, name))
+
+
+@pytest.mark.parametrize("name", ["wireframe", "sigmas", "box_size", "keypoint_covariance", "status"])
+@pytest.mark.parametrize("shape", [(), (4,), (0,), (2, 3), (2, 3, 3), (3, 0)])
+def test_arrays_are_cut_as_their_numbers_are(name, shape):
+    rng = np.random.default_rng(0)
+    numbers = rng.normal(size=shape) * 10.0 ** rng.integers(-12, 9, shape)
+    for value in (numbers, np.where(numbers > 0.0, numbers, np.inf), numbers.astype(np.float32)):
+        assert repr(rounded_plain(name, value)) == repr(rounded(name, plain(value)))
 
 
 @pytest.mark.parametrize("coefficients", [0, 1, 5])
