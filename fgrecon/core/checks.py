@@ -22,6 +22,7 @@ Kept = TypeVar("Kept", bound=NDArray[Any])
 
 RIGID = 1e-3  # by so much a rotation may fail to be one: calibrations and text have few digits
 _LAST_ROW = 1e-6  # by so much 0 0 0 1 may be off
+_LATEST_S = 1e11  # that a time may be: the year 5138, or March 1973 in milliseconds
 
 
 def as_shape(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str = "") -> NDArray[np.float64]:
@@ -112,6 +113,19 @@ def as_finite(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: 
         place = f"[{', '.join(map(str, where))}]" if where else ""
         raise InvalidInputError(field + place, float(array[where]), fix or "Give finite numbers only.")
     return array
+
+
+def as_time(value: ArrayLike) -> float:
+    """The time of a frame, seconds by any clock.
+
+    Raises:
+        InvalidInputError: It is no finite number, or a clock's milliseconds or nanoseconds: later than any year 5000.
+    """
+    time = float(as_finite("time", value, (), "Give seconds."))
+    if abs(time) > _LATEST_S:
+        fix = "Give seconds: of a clock's milliseconds a thousandth, of nanoseconds a billionth."
+        raise InvalidInputError("time", time, fix)
+    return time
 
 
 def own(array: Kept) -> Kept:

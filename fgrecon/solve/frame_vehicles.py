@@ -28,7 +28,7 @@ from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import GROUND_FILTER
-from fgrecon.solve.time.frame import Frame, FrameStep
+from fgrecon.solve.time.frame import Frame, FrameStep, seconds_from
 from fgrecon.solve.time.time_settings import SETTINGS as TIME
 from fgrecon.solve.time.vehicle_filter import FilterModel, VehicleFilter, VehicleUpdate, first_observed
 from fgrecon.solve.vehicle.model import in_traffic
@@ -60,7 +60,7 @@ class VehicleTrack:
             if context.either is not last:
                 break
             begun = context.time
-        return last if time - begun < TIME.class_correlation_s else None
+        return last if seconds_from(begun, time) < TIME.class_correlation_s else None
 
 
 @dataclass(frozen=True)

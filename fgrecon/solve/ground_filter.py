@@ -33,6 +33,7 @@ from fgrecon.solve.ground_evidence import GroundEvidence
 from fgrecon.solve.image_ground import ground_spread, observed_ground, own_deviations
 from fgrecon.solve.solve_settings import GROUND_FILTER, ROAD, SCENE
 from fgrecon.solve.time.camera_drift import CameraDrift
+from fgrecon.solve.time.frame import seconds_from
 from fgrecon.solve.time.time_settings import SETTINGS
 
 
@@ -195,7 +196,7 @@ class GroundFilter:
         Where points said it shortly before, and now none are there, it is where it was as well.
         """
         last = None if self.past is None or frame.sensed else self.past.nominal.sensed_s
-        held = last is not None and frame.time - last < ROAD.held_s
+        held = last is not None and seconds_from(last, frame.time) < ROAD.held_s
         if (frame.ground is None or held) and (carried := self._carried(frame, given=held)) is not None:
             return carried
         return None if frame.ground is None else _Nominal(frame.ground, sensed_s=frame.time if frame.sensed else None)

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.checks import as_finite, as_flag
+from fgrecon.core.checks import as_flag, as_time
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.history import Deferred
@@ -167,7 +167,7 @@ class Tracker:
         Raises:
             InvalidInputError: An argument cannot be used; names it, its value and the fix.
         """
-        time = float(as_finite("time", time, (), "Give seconds."))
+        time = as_time(time)
         if not issubclass(kind := type(observations), Mapping):
             raise InvalidInputError("observations", kind.__name__, _MAPPING)
         made = as_flag("estimated", estimated)

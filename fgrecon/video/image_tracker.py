@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.checks import as_finite
+from fgrecon.core.checks import as_time
 from fgrecon.core.choices import ClassSource
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Evidence
@@ -116,7 +116,7 @@ class ImageTracker:
         Raises:
             InvalidInputError: An argument cannot be used, or a detector returns something else than its protocol says.
         """
-        time = float(as_finite("time", time, (), "Give seconds."))
+        time = as_time(time)
         if self.frame is not None and not time > self.frame.time:
             fix = f"Give the images of one camera in order: the last one was at {self.frame.time:.10g} s."
             raise InvalidInputError("time", time, fix)

@@ -17,6 +17,11 @@ from fgrecon.solve.time.heading_filter import Belief, TrackHeading
 from fgrecon.solve.time.time_settings import SETTINGS
 
 
+def seconds_from(first: float, second: float) -> float:
+    """Time from a frame to a later one, seconds, to compare with others: frames of a steady clock are as far apart."""
+    return round(second - first, 4)  # a time since 1970 is known to 2e-7 s only
+
+
 def image_height(observation: Observation) -> float:
     """How high a vehicle is in its image, pixels."""
     if observation.box is not None:

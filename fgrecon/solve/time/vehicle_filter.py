@@ -32,7 +32,7 @@ from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.time.frame import Frame, FrameStep, image_height
+from fgrecon.solve.time.frame import Frame, FrameStep, image_height, seconds_from
 from fgrecon.solve.time.heading_choice import choose_headings, image_evidence
 from fgrecon.solve.time.heading_filter import TrackHeading, path_evidence
 from fgrecon.solve.time.time_settings import SETTINGS
@@ -131,7 +131,7 @@ def _window_solved(vehicle: VehicleFilter, frames: Sequence[Frame], energy: floa
         most = SETTINGS.window_iterations
         return solve_window(frames, vehicle.shape, model.motion, max_iterations=most, extra=model.extra, stands=stands)
 
-    stands = vehicle.solved.stands if now < vehicle.asked + SETTINGS.driving_recheck_s else None
+    stands = vehicle.solved.stands if seconds_from(vehicle.asked, now) < SETTINGS.driving_recheck_s else None
     solved = solve(stands)
     if stands is not None and (solved.failed or solved.contradicts(energy)):
         stands = None  # it may have begun to drive, or come to stand

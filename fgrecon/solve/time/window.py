@@ -41,7 +41,7 @@ from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.time.frame import Frame
+from fgrecon.solve.time.frame import Frame, seconds_from
 from fgrecon.solve.time.heading_filter import another_side
 from fgrecon.solve.time.motion_terms import between_terms, velocity_terms
 from fgrecon.solve.time.time_settings import SETTINGS
@@ -138,7 +138,7 @@ def solve_window(
         factors = [*between, *_motion_factors(frames, model, extra, known)]
         return _solved(frames, shape, factors, max_iterations, known)
 
-    tells = frames[-1].time - frames[0].time >= SETTINGS.driving_evidence_s
+    tells = seconds_from(frames[0].time, frames[-1].time) >= SETTINGS.driving_evidence_s
     if not (model.wheeled and tells and all(frame.camera_known for frame in frames[1:])):
         return solved(None)
     if stands is not None:
@@ -298,7 +298,7 @@ def thinned(frames: Sequence[Frame], most: int) -> list[Frame]:
         most: How many to keep at most.
     """
     now = frames[-1].time
-    kept = [frame for frame in frames[:-2] if now - frame.time <= SETTINGS.window_span_s]
+    kept = [frame for frame in frames[:-2] if seconds_from(frame.time, now) <= SETTINGS.window_span_s]
     kept += frames[-2:]
     while len(kept) > most:
         times = [frame.time for frame in kept]
@@ -306,6 +306,6 @@ def thinned(frames: Sequence[Frame], most: int) -> list[Frame]:
         if not inner or len({frame.camera_known for frame in kept[1:]}) > 1:
             kept.pop(0)
             continue
-        nearest = min(inner, key=lambda i: times[i + 1] - times[i - 1])
+        nearest = min(inner, key=lambda i: seconds_from(times[i - 1], times[i + 1]))
         kept[nearest : nearest + 2] = [kept[nearest + 1].without(kept[nearest])]
     return kept

@@ -229,6 +229,20 @@ def test_rounding_decides_nothing():
     assert sorted(apart)[1] < 1e-5
 
 
+@pytest.mark.parametrize("begun", [1.0, 1.7e9])
+def test_when_the_clock_begins_changes_nothing(begun):
+    """Of a steady clock frames are equally far apart, however its times are rounded: nothing is decided by that."""
+    ends = []
+    for start in (0.0, begun):
+        rng, tracker, places = np.random.default_rng(2), fgrecon.Tracker(size_prior="kitti"), []
+        for t, pose in enumerate(approaching(16)):
+            given = {1: seen(pose, rng)}
+            estimate = tracker.update(start + 0.1 * t, given, camera=CAMERA, ground=GROUND)[1]
+            places.append(estimate.reconstruction.location)
+        ends.append(np.array([*places, *(one.reconstruction.location for one in tracker.smooth()[1])]))
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-3)
+
+
 def test_what_is_kept_does_not_grow():
     rng = np.random.default_rng(6)
     pose = upright(0.8, [1.0, GROUND, 15.0])
@@ -299,6 +313,8 @@ def test_what_cannot_be_used_is_refused():
     tracker.update(1.0, {}, camera=CAMERA)
     with pytest.raises(InvalidInputError, match="time"):
         tracker.update(1.0, {}, camera=CAMERA)
+    with pytest.raises(InvalidInputError, match="of nanoseconds a billionth"):
+        tracker.update(1.7e18, {}, camera=CAMERA)
     with pytest.raises(InvalidInputError, match="world_T_camera"):
         tracker.update(2.0, {}, camera=CAMERA, world_T_camera=2.0 * np.eye(4))
     with pytest.raises(InvalidInputError, match="motion_covariance"):
