@@ -27,6 +27,9 @@ cdef extern from *:
     #else
     #define FGRECON_WIDE
     #endif
+    #if defined(_MSC_VER)
+    #define restrict __restrict
+    #endif
 
     /* `project` of points (P, 3): pixels (2, P), their derivatives G (6, P) unless it is NULL, and depths (P,). */
     FGRECON_WIDE static void fgrecon_pixels(
