@@ -86,7 +86,8 @@ class Points:
             InvalidInputError: They are no points, are farther than any sensor measures, or a standard deviation is
                 none.
         """
-        points = as_shape("points", self.points, (None, 3), "Give (N, 3) metres in the camera's frame.")
+        fix = "Give (N, 3) metres in the camera's frame; of more columns, such as intensities, points[:, :3]."
+        points = as_shape("points", self.points, (None, 3), fix)
         fix = "Give standard deviations in metres, one, or one for each point."
         sigma = as_either("points.sigma", self.sigma, [(), (len(points),)], fix)
         finite = np.isfinite(points).all(axis=1)

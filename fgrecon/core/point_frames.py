@@ -16,6 +16,7 @@ from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.errors import InvalidInputError
 
 _FARTHEST = 300.0  # metres: the median depth of no scan is larger; millimetres and centimetres are
+_SMALLEST = 1.0  # metres: no scan ends nearer; in kilometres, or normalised, all do
 _SHARE = 0.02  # of the points fall into the image in the frame of a mistake that explains it,
 _TIMES = 20.0  # and so many times more than in the frame in which they are given: whole scans have strays
 _LOOKED_AT = 1_000  # points
@@ -78,6 +79,8 @@ def _fix(points: Array, likely: str) -> str:
     fix = "Give points in the camera's frame (x right, y down, z forward)"
     if likely:
         return f"{fix}; these look like {likely}: give where that is, or turn them."
+    if np.abs(points).max() < _SMALLEST:
+        return f"{fix}, in metres: all of these are within {_SMALLEST:g} m."
     if (points[:, 2] <= MIN_DEPTH).all():
         return f"{fix}; all of these are behind it: the motion into its frame may be the inverse one."
     return f"{fix}, and the camera of this image: these are of another place, frame or image."

@@ -30,6 +30,7 @@ def test_a_scan_all_around_is_taken_though_most_of_it_is_outside_the_image() -> 
         (_scan() * [1, -1, -1] + [0, 0, -70.0], "all of these lie behind|y up"),
         (1000.0 * _scan(), "millimetres"),
         (100.0 * _scan(), "centimetres"),
+        (_scan() / 1000.0, "in metres: all of these are within 1 m"),
         (np.array([[0.0, 0.0, -5.0], [1.0, 0.5, -6.0]]), "OpenGL"),
         (np.array([[90.0, 90.0, 5.0]]), "another place"),
     ],
