@@ -34,11 +34,7 @@ class Fit:
 
     @classmethod
     def of(cls, result: Reconstruction, covariance: Array, prior: ShapePrior) -> Fit:
-        """The fit of a result.
-
-        Args:
-            covariance: (K, 2, 2) of the projected keypoints, square pixels.
-        """
+        """The fit of a result, with the covariance (K, 2, 2) of the projected keypoints in square pixels."""
         surface = occluder(prior)
         vertices = transform(result.camera_T_object, surface.vertices(result.shape.coefficients))
         return cls(result, covariance, Solid(vertices, surface.faces.astype(np.int64)))

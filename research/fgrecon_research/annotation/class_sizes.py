@@ -137,11 +137,7 @@ def detector_classes(vehicles: Sequence[DetectedVehicle], share: Mapping[str, fl
     """Probability of each class by what the package's detector calls a vehicle.
 
     Each vehicle counts once, however many images show it. For what was not seen one vehicle of what the name means is
-    added, and one that is of each class as often as all are.
-
-    Args:
-        vehicles: Which were seen.
-        share: Of each class among all.
+    added, and one that is of each class as often as all are: by its share.
     """
     counted = {name: {one: share[one] + (one == _MEANT[name]) for one in CLASSES} for name in VEHICLE_NAMES}
     for vehicle in vehicles:
@@ -157,11 +153,7 @@ def detector_classes(vehicles: Sequence[DetectedVehicle], share: Mapping[str, fl
 def detector_odds(vehicles: Sequence[DetectedVehicle], share: Mapping[str, float]) -> dict[str, float]:
     """Offset and slope of the odds of a van against a car, nats, by how much more it is taken for a truck.
 
-    A logistic regression, to which each vehicle counts once and each class as often as it is among all.
-
-    Args:
-        vehicles: Which were seen.
-        share: Of each class among all.
+    A logistic regression, to which each vehicle counts once and each class as often as it is among all: by its share.
 
     Raises:
         InvalidInputError: No car or no van is among them.

@@ -139,12 +139,7 @@ def score_drives(
 
 
 def scored_box(drive: str, frame: str, index: int, group: str, label: Objects, box: Objects | None) -> LabelledBox:
-    """A labelled vehicle and its box.
-
-    Args:
-        index: Position among the frame's labels.
-        box: The one box, or None.
-    """
+    """A labelled vehicle, at an index among the frame's labels, and its one box, if there is any."""
     about = (drive, frame, index, label.kind[0], float(np.linalg.norm(label.location[0])), group, box is not None)
     if box is None:
         return LabelledBox(*about, 0.0, 0.0, np.inf, np.nan, FAILURE_DEGREES, (np.nan, np.nan, np.nan))

@@ -79,11 +79,7 @@ class Judged:
 
 
 def judged(found: BoxOutcome, group: str, distance: float, status: str) -> Judged:
-    """A result of some status beside the truth.
-
-    Args:
-        distance: Of the vehicle from the camera, metres.
-    """
+    """A result of some status beside the truth, of a vehicle at a distance in metres from the camera."""
     flipped = found.degrees > FLIPPED_DEGREES
     off = found.degrees > WRONG[0] or found.metres > WRONG[1] * distance
     return Judged(status, flipped, off, found.facing, claimed_regions(found, group))

@@ -103,10 +103,9 @@ def refine_drive(
     every: int = 1,
     advance: Callable[[str], None] = lambda _: None,
 ) -> list[RefinedVehicle]:
-    """Refine the boxes of a drive's images, and score those of labelled vehicles.
+    """Refine boxes of a drive's images, and score those of labelled vehicles.
 
-    Args:
-        boxes: A detector's, by frame; or the source of the errors that labels are disturbed by.
+    They are a detector's, by frame; or the labels, with errors from a source.
     """
     scored: list[RefinedVehicle] = []
     frames = [f for f in drive.frames if len(wanted(f)) > 0]

@@ -62,11 +62,7 @@ def summary(scores: MethodScores) -> dict[str, Any]:
 def document(
     scores: Sequence[MethodScores], files: Sequence[tuple[str, Track]], scene: SceneKnowledge, notes: Mapping[str, str]
 ) -> dict[str, Any]:
-    """The JSON document of a run: every method, and under which conditions.
-
-    Args:
-        notes: Where values of the scene come from, by name.
-    """
+    """The JSON document of a run: every method, and under which conditions, with notes where the scene's are from."""
     return {
         "format": FORMAT,
         "methods": {entry.name: summary(entry) for entry in scores},
@@ -127,11 +123,7 @@ def to_json(content: Mapping[str, Any]) -> str:
 
 
 def table(scores: Sequence[MethodScores], *, narrow: bool = False) -> Table:
-    """The table for the terminal.
-
-    Args:
-        narrow: Whether it has to fit into 80 columns: without prior and number of failures.
-    """
+    """The table for the terminal; a narrow one, of 80 columns, is without prior and number of failures."""
     left_out = ("failed", "prior") if narrow else ()
     rows = [{name: cell for name, cell in _cells(one).items() if name not in left_out} for one in scores]
     result = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 0)) if narrow else Table()

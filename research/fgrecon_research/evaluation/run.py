@@ -99,8 +99,7 @@ def _warm_up(solver: Solver, tracks: Sequence[Track]) -> None:
 def score_pose(solver: Solver, camera: Camera, frame: TrackFrame, label_offset: NDArray[np.float64]) -> FrameScore:
     """Run a bound method on one frame and score it in the label's frame.
 
-    Args:
-        label_offset: (3,) what the camera's frame adds to labelled points, metres.
+    What is labelled at X is at X + label_offset (3,) in the camera's frame, metres.
     """
     if frame.observation is None:
         return _failed(frame, "the frame has no measured keypoint")

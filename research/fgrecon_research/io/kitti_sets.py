@@ -81,10 +81,7 @@ def stated_model(path: Path) -> BoxModel | None:
 
 
 def parse_objects(text: str, place: str, *, scored: bool = False) -> tuple[Objects, list[Fault]]:
-    """Read the lines of a label file, or of a result file.
-
-    Args:
-        scored: Whether lines have a score (results).
+    """Read the lines of a label file, or of a result file, whose lines have a score.
 
     Returns:
         The objects of the lines that can be used, and a problem for each line that cannot, or for an empty file.

@@ -112,10 +112,6 @@ def score_shape(
 ) -> dict[str, StageScore]:
     """Errors before and after the shape stage, with the pose fixed at the truth, fixed at its estimate, and free.
 
-    Args:
-        ground: Ground plane, or None.
-        size: Size prior, or None.
-
     Returns:
         A score for each of `STAGES`. A view whose pose or shape stage fails counts with its state before.
     """

@@ -50,9 +50,6 @@ def stages(
 ) -> dict[str, StageEstimate]:
     """State after each stage: `pose`, `shape` (pose fixed: solved one after the other) and `joint` (both together).
 
-    Args:
-        ground: Ground plane, or None.
-
     Raises:
         InvalidInputError: Something given cannot be used.
         DegenerateProblemError: The keypoints do not determine a pose.

@@ -285,11 +285,7 @@ class TrainingDisplay:
     """Shows a training: a bar, or a line for each report."""
 
     def __init__(self, screen: Screen, advance: Advance) -> None:
-        """Nothing is shown yet.
-
-        Args:
-            screen: Where lines go.
-        """
+        """Nothing is shown yet; lines go to the screen."""
         self._screen, self._advance, self._heading = screen, advance, "Training"
 
     def log(self, line: str) -> None:

@@ -233,10 +233,7 @@ def label_drives(
 
 
 def label_street(drives: Sequence[Path], network: Path, out: Path, watch: Progress) -> None:
-    """Label the street cars that a training learns from.
-
-    Args:
-        out: The file to write (COCO).
+    """Write a file (COCO) of labels of the street cars that a training learns from.
 
     Raises:
         InvalidInputError: A folder is no drive, or no vehicle could be labelled.

@@ -148,11 +148,9 @@ def belt_of(category: Category, shape: Array) -> tuple[int, ...]:
 
 
 def raise_cabin(view: LabelledView, belt: tuple[int, ...], factor: float) -> LabelledView:
-    """The car with everything above its belt stretched upwards, and the image taller accordingly.
+    """The car with everything above its belt stretched by a factor (from 1), and the image taller accordingly.
 
-    Args:
-        view: The car; returned as it is where the belt is unknown or far from level.
-        factor: From 1.
+    It is returned as it is where the belt is unknown or far from level.
     """
     points = view.keypoints[list(belt)]
     points = points[np.isfinite(points).all(axis=1)]

@@ -111,10 +111,9 @@ def marks_reliability(scored: Sequence[Scored], bins: int = 8) -> Reliability:
 
 
 def adjusted(scored: Sequence[Scored], projections: Sequence[Array | None]) -> list[Scored]:
-    """The same cars with other keypoints in the place of the network's, as in the paper's Table II.
+    """The same cars with the pixels (K, 2) of adjusted wireframes in the place of the network's keypoints.
 
-    Args:
-        projections: (K, 2) pixels of each car's adjusted wireframe; None, where there is none, is infinitely far.
+    As in the paper's Table II; None, where there is no wireframe, is infinitely far.
     """
     after = []
     for item, pixels in zip(scored, projections, strict=True):

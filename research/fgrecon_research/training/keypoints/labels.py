@@ -96,11 +96,7 @@ def surface_of(prior: ShapePrior) -> Surface:
 
 
 def fit_shape(prior: ShapePrior, cars: Sequence[PosedCar]) -> ShapeFit:
-    """The coefficients whose surface touches the edges of all boxes (robust; coefficients ~ N(0, I)).
-
-    Args:
-        prior: Model with a surface, from `unit_prior`.
-    """
+    """Coefficients ~ N(0, I) of a `unit_prior` whose surface touches the edges of all boxes (robust)."""
     surface = surface_of(prior)
     rotation, translation, matrix = (
         np.array([getattr(c, f) for c in cars]) for f in ("rotation", "translation", "matrix")

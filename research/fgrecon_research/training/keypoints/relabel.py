@@ -176,10 +176,8 @@ def without_bias(
 
     A network that learnt from labels which are off puts its points off in the same way: an error that all shapes share
     is the network's. Per keypoint and its mirror image one offset in the object's frame is fitted, by least squares
-    with a Huber loss, to what was found in photographs of known shape and pose, and taken off again in all.
-
-    Args:
-        sure: (M, K) in which of them shape and pose can be relied on for a keypoint.
+    with a Huber loss, to what was found in photographs of known shape and pose (`sure`, (M, K)), and taken off again in
+    all.
     """
     points = np.array([prior.keypoints(fit.coefficients, fit.offsets) for fit in fits])
     rotation, translation = np.array([c.rotation for c in cars]), np.array([c.translation for c in cars])

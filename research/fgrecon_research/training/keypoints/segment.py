@@ -48,11 +48,8 @@ def assemble(package: Path) -> bytes:
 def resized(model: bytes, side: int) -> bytes:
     """The network for images of side x side instead of 1024 x 1024, with its finest output alone.
 
-    Args:
-        side: A multiple of 32.
-
     Raises:
-        InvalidInputError: The side is not.
+        InvalidInputError: The side is no multiple of 32.
     """
     import onnx
     from onnx import numpy_helper

@@ -152,10 +152,7 @@ def learning(photographs: Photographs, chosen: NDArray[np.intp], street: StreetS
 
 
 def prepare_street_cars(file: Path, folder: Path, progress: Progress = no_progress) -> None:
-    """Cut the cars out of their images, with what is around them (0.15 MB a car).
-
-    Args:
-        folder: Where to write; made if missing.
+    """Cut the cars of a file out of their images, with what is around them, into a folder (0.15 MB a car).
 
     Raises:
         InvalidInputError: The file is malformed, holds no vehicle, or an image cannot be read.

@@ -36,13 +36,10 @@ def _tensors(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 
 
 def mean_state(first: Mapping[str, Any], second: Mapping[str, Any], share: float) -> dict[str, Any]:
-    """`second` with `share` of `first` in its weights; what only `second` has is taken over.
+    """`second` with a share, from 0 to 1, of `first` in its weights; what only `second` has is taken over.
 
     The mean of a network and of what further training made of it does better on other images than either
     (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
-
-    Args:
-        share: From 0 to 1.
     """
     return {
         name: share * first[name].to(value) + (1.0 - share) * value
