@@ -130,10 +130,7 @@ class Requested:
         return value
 
     def settings(self, *, history: bool | None = None) -> RunSettings:
-        """What holds for every vehicle.
-
-        Args:
-            history: Whether steps are kept; None for what is requested.
+        """What holds for every vehicle; steps are kept where that is said, else as requested.
 
         Raises:
             InvalidInputError: A value cannot be used.

@@ -99,9 +99,6 @@ def is_image(path: Path) -> bool:
 def read_file(path: Path, request: FileRequest, photograph: Path | None = None) -> ReadFile:
     """The vehicles of a photograph, with the keypoints that the networks detect; or of a file of keypoints or a track.
 
-    Args:
-        photograph: The image of a keypoint file, or None.
-
     Raises:
         InvalidInputError: A file cannot be used, there is no car in the photograph, or a vehicle has no camera.
     """

@@ -36,10 +36,7 @@ def largest_bytes() -> int:
 
 
 def read_limited(path: Path, field: str) -> bytes:
-    """The content of a file that has at most `largest_bytes`.
-
-    Args:
-        field: What an error names.
+    """The content of a file that has at most `largest_bytes`; an error names a field.
 
     Raises:
         InvalidInputError: It cannot be read, or is larger.

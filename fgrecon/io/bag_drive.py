@@ -324,10 +324,7 @@ def _camera(info: Any, where: str, *, rectified: bool) -> Camera | None:
 
 
 def cloud_points(message: Any, where: str) -> Array:
-    """(N, 3) the points of a `PointCloud2`, metres, those that are not finite left out.
-
-    Args:
-        where: What errors begin with.
+    """(N, 3) the points of a `PointCloud2`, metres, those that are not finite left out; errors begin with a place.
 
     Raises:
         InvalidInputError: It has no x, y and z, or fewer bytes than points.

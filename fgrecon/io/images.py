@@ -85,10 +85,7 @@ def _content(path: str | Path) -> bytes:
 
 
 def decode_image(content: bytes, name: str) -> NDArray[np.uint8]:
-    """The content of an image file as (H, W, 3) RGB bytes; see `read_image`.
-
-    Args:
-        name: What it is called in an error.
+    """The content of an image file as (H, W, 3) RGB bytes; see `read_image`. An error names it.
 
     Raises:
         InvalidInputError: It is no image.

@@ -141,11 +141,7 @@ class _DiedError(Exception):
 
 
 def serve(memory: int) -> None:
-    """Answer one piece of work after the other until the parent closes the pipe; what the child runs.
-
-    Args:
-        memory: How much it may take, bytes.
-    """
+    """What the child runs: answer one work after the other, in so many bytes, until the parent closes the pipe."""
     _limit(memory)
     jobs, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     silence = os.open(os.devnull, os.O_WRONLY)

@@ -58,10 +58,7 @@ class GivenBoxes:
             raise InvalidInputError("box", flags, fix)
 
     def check_images(self, count: int) -> None:
-        """Refuse a file that says of no box which image it is in, where there are several.
-
-        Args:
-            count: How many images there are.
+        """Refuse a file that says of no box which image it is in, where there are several images.
 
         Raises:
             InvalidInputError: It does not, or cannot be read.
@@ -72,9 +69,6 @@ class GivenBoxes:
 
     def check_classes(self, classes: ClassSource | None) -> None:
         """Refuse classes by who labelled the vehicles where nobody did.
-
-        Args:
-            classes: Who is to say of which class they are, or None.
 
         Raises:
             InvalidInputError: There is no file that could say it.

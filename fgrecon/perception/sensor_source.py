@@ -100,10 +100,7 @@ class SensorSource:
         return DataSetSweeps.of_source(self.lidar)
 
     def check(self, images: Iterable[str]) -> None:
-        """Refuse files of which none is of one of the images.
-
-        Args:
-            images: Their names.
+        """Refuse files of which none is of one of the images, by their names.
 
         Raises:
             InvalidInputError: There is none.
@@ -119,10 +116,7 @@ class SensorSource:
             )
 
     def evidence(self, path: Path) -> tuple[Evidence, ...]:
-        """What the files say of an image; nothing where there is none of it.
-
-        Args:
-            path: The image's file, or its name where it is a frame of a video.
+        """What the files say of an image, by its file or a video frame's name; nothing where there is none of it.
 
         Raises:
             InvalidInputError: A file cannot be used, or nothing says where its sensor is.

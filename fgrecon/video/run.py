@@ -132,11 +132,7 @@ class VideoRun:
         return f"{', '.join(parts)}, {counted(self.estimates, 'estimate')}, {how}{went}{before}{delay}."
 
     def smooth(self, follower: Follower) -> None:
-        """Put the smoother's estimates in the place of the first ones, as far back as it goes.
-
-        Args:
-            follower: What has followed the vehicles.
-        """
+        """Put the smoother's estimates in the place of the first ones, as far back as it goes."""
         smoothed = dict(follower.tracker.smooth())
         while smoothed:  # and no vehicle's are kept
             self.put(follower, *smoothed.popitem())

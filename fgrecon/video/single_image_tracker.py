@@ -24,11 +24,7 @@ class SingleImageTracker:
     refused: Mapping[int, FgreconError]
 
     def __init__(self, **arguments: Any) -> None:
-        """Take the settings.
-
-        Args:
-            arguments: Of `fgrecon.reconstruct`: prior, size_prior, options.
-        """
+        """Take settings of `fgrecon.reconstruct`: prior, size_prior, options."""
         self._arguments = arguments
         self._tracks: dict[int, list[VehicleEstimate]] = {}
         self.refused = {}

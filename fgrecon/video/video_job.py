@@ -161,10 +161,7 @@ def _place(path: Path) -> str:
 
 
 def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
-    """Read what is requested, refuse what cannot be done, and find the camera, before the work.
-
-    Args:
-        warn: Called with what was assumed.
+    """Read what is requested, refuse what cannot be done, and find the camera, before the work; warn of assumptions.
 
     Raises:
         InvalidInputError: Something cannot be used; names it.

@@ -43,11 +43,7 @@ class Showing:
     """Turns tracked frames, in order, into what is drawn of them."""
 
     def __init__(self, *, beside_table: bool = False) -> None:
-        """Nothing was shown yet.
-
-        Args:
-            beside_table: Whether a table beside it has distances and what became of each vehicle.
-        """
+        """Nothing was shown yet; a table beside it may have distances and what became of each vehicle."""
         self._beside_table = beside_table
         self._trails: dict[int, list[NDArray[np.float64]]] = {}  # where each vehicle was, in the world
         self._seen: set[int] = set()

@@ -76,11 +76,7 @@ def recording_of(vehicle: SolvedVehicle, *, ground: Ground | None = None) -> Rec
 
 
 def recordings_of(sights: Sequence[SolvedVehicle], ground: Ground | None) -> list[tuple[str, Recording]]:
-    """Title and recording of vehicles.
-
-    Args:
-        ground: The ground plane that was assumed.
-    """
+    """Title and recording of vehicles, with the ground plane that was assumed."""
     images = {id(s.image): Photograph.of(s.image) for s in sights}  # several vehicles may be in one
     return [(s.title, recording_of(replace(s, image=images[id(s.image)]), ground=ground)) for s in sights]
 

@@ -59,11 +59,7 @@ class LiveRecording:
 
 
 def video_recording_of(frames: Callable[[], Iterable[RecordedFrame]], camera: Camera) -> Recording:
-    """The recording of a video.
-
-    Args:
-        frames: Makes the frames, in order; asked when the recording is made.
-    """
+    """The recording of a video, whose frames are made in order when the recording is."""
 
     def make() -> Callable[[Any], None]:
         def send(stream: Any) -> None:

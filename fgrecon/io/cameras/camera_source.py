@@ -79,10 +79,7 @@ class CameraSource:
         return (None if self.intrinsics is None else Camera.of(self.intrinsics)), None
 
     def mounted(self, image: str | None = None) -> MountedCamera | None:
-        """The camera of the calibration file and what the file says beside it; None without a file.
-
-        Args:
-            image: File name of the photograph.
+        """The camera of the calibration file, by an image's file name, and what is said beside it; None without a file.
 
         Raises:
             InvalidInputError: Another way is used as well, or the file is none.
@@ -100,11 +97,7 @@ class CameraSource:
         return None if self.file is None else read_camera(self.file, image)
 
     def assumed(self, size: tuple[int, int]) -> Camera:
-        """The photograph's EXIF camera, or one of unknown focal length; of a part, that of the whole image.
-
-        Args:
-            size: (width, height) of the photograph, pixels.
-        """
+        """The EXIF camera, or one of unknown focal length, of a photograph's (width, height); of a part the whole's."""
         return self.exif or Camera.of_unknown(*self.whole_of(size))
 
     def whole_of(self, size: tuple[int, int]) -> tuple[int, int]:

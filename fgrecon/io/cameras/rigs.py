@@ -32,10 +32,7 @@ class MountedCamera:
 
 
 def ground_below(vehicle_T_camera: NDArray[np.float64]) -> Ground | None:
-    """The plane z = 0 of a vehicle whose z axis points up, in the frame of a camera on it.
-
-    Args:
-        vehicle_T_camera: (4, 4) pose of the camera on the vehicle, metres.
+    """The plane z = 0 of a vehicle whose z axis points up, in the frame of a camera on it at a pose (4, 4), metres.
 
     Returns:
         The plane; None where the camera is upside down or not above it.

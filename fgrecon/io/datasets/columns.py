@@ -74,10 +74,7 @@ class Columns:
 
 
 def read_columns(path: Path, columns: Sequence[str] | None = None) -> Columns:
-    """A feather or Parquet file, by its ending.
-
-    Args:
-        columns: Those that are read; None for all.
+    """All or some columns of a feather or Parquet file, by its ending.
 
     Raises:
         InvalidInputError: It cannot be read.

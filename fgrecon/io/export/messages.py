@@ -127,11 +127,7 @@ _RULE = f"\n{80 * '='}\n"
 
 
 def ros_definition(name: str) -> str:
-    """A message's definition, with those that it is made of.
-
-    Args:
-        name: Such as `vision_msgs/Detection3DArray`.
-    """
+    """A message's definition, such as of `vision_msgs/Detection3DArray`, with those that it is made of."""
     needed = [name]
     for one in needed:  # grows on the way
         kinds = (field.split()[0].partition("[")[0] for field in _ROS[one].split(", "))

@@ -25,10 +25,7 @@ class AnchoredObject:
     box: NDArray[np.float64] | None  # (4,) x1, y1, x2, y2 in 0-based pixels, or None
 
     def visible(self, where: str) -> dict[str, list[float]]:
-        """0-based pixels of the visible anchors, by name.
-
-        Args:
-            where: What an error begins with.
+        """0-based pixels of the visible anchors, by name; an error begins with a place.
 
         Raises:
             InvalidInputError: An anchor has no usable location; names it.

@@ -37,9 +37,6 @@ def is_track(data: Any) -> bool:
 def keypoint_records(path: Path, category: Category) -> list[Any]:
     """The vehicles of a file of any format, or of a track; of COCO's annotations the error where one is malformed.
 
-    Args:
-        category: The category whose keypoints are wanted.
-
     Raises:
         InvalidInputError: The file cannot be read, or its frame is malformed; what a record holds is not looked at.
     """
