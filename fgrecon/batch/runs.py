@@ -110,9 +110,6 @@ def run(
         settings: What the reconstructor was made with, as plain values; a folder is for one such.
         report: Called whenever rows are done.
 
-    Returns:
-        What was done.
-
     Raises:
         InvalidInputError: The folder holds another run or a video's, a file of which it has rows was edited since, or
             the prior cannot be loaded.

@@ -95,9 +95,6 @@ def read_tasks(
         names: What is known of the keypoints' names, or None.
         image: File name of the photograph, whose vehicles are taken; None for all.
 
-    Returns:
-        The vehicles.
-
     Raises:
         InvalidInputError: The file is malformed, a vehicle has no camera, or states an image of another size than the
             camera's or the picture's.

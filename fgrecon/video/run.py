@@ -175,9 +175,6 @@ def run_video(
         go_on: Called after each frame with the run and the frame's pixels, None for what runs before had looked at;
             returns whether to go on.
 
-    Returns:
-        The run.
-
     Raises:
         InvalidInputError: The folder holds a batch, another run or one that is going on, or images that it has looked
             at are no more, or others have come before them; or no frame has a pose or a vehicle of those given.

@@ -77,9 +77,6 @@ def fit_known_boxes(
 ) -> list[Fit | Reason]:
     """The shape of a vehicle of known boxes, and its poses within what the boxes leave open.
 
-    Returns:
-        A fit for each image, or why there is none.
-
     Raises:
         InvalidInputError: There is no image, a box has no size, or an observation is of another category.
     """

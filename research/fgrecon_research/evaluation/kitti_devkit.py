@@ -158,16 +158,13 @@ def evaluate(
     space: Space = Space.IMAGE,
     minimum_overlap: float | None = None,
 ) -> tuple[Curves, ...]:
-    """Score results against labels.
+    """Score results against labels, in each of `REGIMES`.
 
     Args:
         results: Detections with scores by frame. Only these frames are scored: give every frame, one without
             detections as well.
         space: Where overlaps are measured. The orientation similarity is defined in the image.
         minimum_overlap: Overlap that a match must exceed; KITTI's by default.
-
-    Returns:
-        One entry for each of `REGIMES`.
 
     Raises:
         InvalidInputError: The class is unknown, or a frame with results has no labels.

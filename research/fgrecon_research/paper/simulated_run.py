@@ -158,9 +158,6 @@ def run_conditions(
 
     Args:
         settings: What the methods know, where parts are stored, and how much is run.
-
-    Returns:
-        Outcomes by the conditions' names.
     """
     outcomes: dict[str, ConditionResult] = {}
     make = partial(_Worker, settings.scene, vehicles_of(models), models.size, settings.seed)

@@ -30,9 +30,6 @@ def read_npz(path: Path, category: Category, rename: Mapping[str, str]) -> Annot
     Args:
         rename: From the file's keypoint names to the category's, where they differ.
 
-    Returns:
-        The annotations.
-
     Raises:
         InvalidInputError: Not such a file, or a wrong value; names file, instance and keypoint.
     """

@@ -19,13 +19,10 @@ def read_pascal3d(paths: list[Path], category: Category, rename: Mapping[str, st
     """Annotations of PASCAL3D+ files: `record.objects(i).anchors.NAME` with `location` [x y] and `status`.
 
     Objects whose anchors have no name of the category (other classes, or objects without anchors) are passed over.
-    Pixels become 0-based: MATLAB counts from 1.
+    Of the others the visible anchors are taken. Pixels become 0-based: MATLAB counts from 1.
 
     Args:
         rename: From the anchors' names to the category's, where they differ.
-
-    Returns:
-        The annotations of the visible anchors.
 
     Raises:
         InvalidInputError: A file is no such file, or an anchor has no usable location; names file, object and anchor.

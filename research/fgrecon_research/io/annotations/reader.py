@@ -35,9 +35,6 @@ def load_annotations(
             such files are read in the order of their names.
         rename: From the files' keypoint names to the category's, where they differ.
 
-    Returns:
-        The annotations of all files.
-
     Raises:
         InvalidInputError: No file, an unknown format, nothing annotated, or what the format's reader refuses.
     """

@@ -25,9 +25,6 @@ def read_veri36(path: Path, category: Category, rename: Mapping[str, str]) -> An
     Args:
         category: A category with 36 keypoints in that order.
 
-    Returns:
-        The annotations.
-
     Raises:
         InvalidInputError: Not such a file, or a wrong value; names file, line, image and keypoint.
     """

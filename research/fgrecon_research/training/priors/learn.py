@@ -115,9 +115,6 @@ def to_prior(
         proportions: Share of the way to the fleet's own proportions (`metric_stretch`).
         provenance: Plain strings about where it came from.
 
-    Returns:
-        The prior.
-
     Raises:
         DegenerateProblemError: A dimension of the learnt shape is not positive.
     """
