@@ -17,8 +17,10 @@ import numpy as np
 from fgrecon.calibration.labelled_boxes import matched, wanted
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error
+from fgrecon.io.files import read_text
 from fgrecon.io.kitti_drives import Drive
 from fgrecon.io.kitti_files import LABEL_COLUMNS, Objects, read_tracking
+from fgrecon.io.text_lines import filled_lines
 from fgrecon_research.evaluation.kitti_devkit import Space, overlap
 from fgrecon_research.io.kitti_sets import Defect, parse_objects
 
@@ -59,13 +61,14 @@ def read_boxes(path: Path, frames: Sequence[int]) -> dict[int, Objects]:
     """
     if (summary := path / "frames.jsonl").is_file():
         try:
-            frames = sorted({json.loads(line)["frame"] for line in _text(summary).splitlines()}.intersection(frames))
+            known = {json.loads(line)["frame"] for _, line in filled_lines(summary, "results")}
+            frames = sorted(known.intersection(frames))
         except (ValueError, KeyError, TypeError) as error:
             raise InvalidInputError("results", str(summary), "Give the folder of a run, as `run` wrote it.") from error
         path = path / "tracks.txt"
     if path.is_dir():
         files = {number: path / f"{_NAME.format(number)}.txt" for number in frames}
-        texts = {number: _text(file) for number, file in files.items() if file.is_file()}
+        texts = {number: read_text(file, "results") for number, file in files.items() if file.is_file()}
         if not texts:
             fix = "Give a folder with files FFFFFF.txt of labelled frames, or a file of tracking lines."
             raise InvalidInputError("results", str(path), fix)
@@ -162,13 +165,6 @@ def _place(path: Path, drive: str, *, alone: bool) -> Path | None:
     if alone:
         return path
     return file if file.is_file() else None
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError("results", str(path), f"Give a text file that can be read ({error}).") from error
 
 
 def _objects(text: str, place: str) -> Objects:

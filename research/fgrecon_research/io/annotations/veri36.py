@@ -10,6 +10,7 @@ import numpy as np
 
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import read_text
 from fgrecon_research.io.annotations.annotations import Annotations
 
 _POINTS = 36
@@ -32,12 +33,7 @@ def read_veri36(path: Path, category: Category, rename: Mapping[str, str]) -> An
         raise InvalidInputError("category", category.name, f"Give a category with {_POINTS} keypoints, such as car36.")
     if rename:
         raise InvalidInputError("rename", ", ".join(rename), "Leave it out: this file holds no keypoint names.")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InvalidInputError("annotations", str(path), "Give a file that exists.") from None
-    except (OSError, ValueError) as error:
-        raise InvalidInputError(str(path), f"not readable: {error}", "Give a CSV file in UTF-8.") from error
+    text = read_text(path, "annotations")
     rows, names = [], []
     for number, cells in enumerate(csv.reader(text.splitlines()), start=1):
         if not cells:
