@@ -71,9 +71,7 @@ class FrameVehicles:
     refused: Mapping[int, FgreconError]  # why others could not be looked at, by id
     classes: Mapping[int, ClassBelief | None]  # of which class each is, by id; None where nothing says
     either: Mapping[int, EitherClass | None]  # what a van instead of a car changes in each; None where that is not open
-    lower: Mapping[
-        int, tuple[float, float]
-    ]  # by how much lower than it is taken each may stand, see `EitherClass.lower`
+    lower: Mapping[int, tuple[float, float]]  # than they are taken to stand, by id, as `EitherClass.lower`
 
     def poses(self) -> list[Array]:
         """Pose (4, 4) of each that was looked at."""

@@ -142,8 +142,8 @@ def test_a_map_of_another_unit_is_told(street: tuple[list[Observation], np.ndarr
         assert said is not None
         assert float(said[1]) == pytest.approx(times, rel=0.35)  # by the picture alone places are as far off
     tracker = Tracker(options=OPTIONS)
-    told = tracker.update(0.0, {0: seen[0]}, camera=CAMERA, ground=1.65, evidence=[given])[0]
-    assert told.reconstruction.diagnostics.left_out
+    estimate = tracker.update(0.0, {0: seen[0]}, camera=CAMERA, ground=1.65, evidence=[given])[0]
+    assert estimate.reconstruction.diagnostics.left_out
     right = reconstruct_scene(seen, CAMERA, evidence=[DepthMap(depth)], **HOW).vehicles
     assert not any(one.diagnostics.left_out for one in right)
 

@@ -74,8 +74,8 @@ def test_in_a_scene_and_a_track_too(vehicles):
     assert inside(scene.vehicles[1], PLACES[1])
     track = fgrecon.reconstruct_track([vehicles[1]] * 2, CAMERA, size_prior="kitti", ground=1.65)
     assert all(inside(frame, PLACES[1]) for frame in track.frames)
-    told = [vehicles[1].with_evidence([VehicleClass("car")]), vehicles[1]]
-    as_car = fgrecon.reconstruct_track(told, CAMERA, size_prior="kitti", ground=1.65)
+    of_known_class = [vehicles[1].with_evidence([VehicleClass("car")]), vehicles[1]]
+    as_car = fgrecon.reconstruct_track(of_known_class, CAMERA, size_prior="kitti", ground=1.65)
     assert not any(inside(frame, PLACES[1]) for frame in as_car.frames), "what one image says holds for all"
 
 

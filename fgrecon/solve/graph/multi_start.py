@@ -132,16 +132,17 @@ def _run(
     """All stages from one state."""
     stages: list[SolvedStage] = []
     iterations, state = 0, start
-    gains: tuple[Callable[[], float], ...] = ()
+    make_gains: tuple[Callable[[], float], ...] = ()
     for name in _stage_names(observations[0].problem.options):
         graph = Graph(observations, state, pose_free=name == "joint", extra=extra)
         optimum = optimise(graph, state, steady=steady)
         stages.append(SolvedStage(name, graph, optimum.steps))
-        iterations, gains, state = iterations + optimum.iterations, gains + optimum.gains, optimum.state
+        iterations, make_gains = iterations + optimum.iterations, make_gains + optimum.make_gains
+        state = optimum.state
         if optimum.failure is not None:
             break
     return MultiStartResult(
-        replace(optimum, iterations=iterations, gains=gains), tuple(stages), ((),) * len(observations)
+        replace(optimum, iterations=iterations, make_gains=make_gains), tuple(stages), ((),) * len(observations)
     )
 
 

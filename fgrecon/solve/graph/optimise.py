@@ -43,22 +43,22 @@ class Optimum:
 
     state: State  # poses, shapes and weights
     values: gtsam.Values  # the same, with planes
-    told: Callable[[], dict[str, float]]  # makes `energies`
+    make_energies: Callable[[], dict[str, float]]
     steps: tuple[Step, ...]  # every step, if asked for
     iterations: int  # number of the solver's iterations
-    gains: tuple[Callable[[], float], ...]  # of each stage makes the energy at its start minus that at its end, nats
+    make_gains: tuple[Callable[[], float], ...]  # of each stage: the energy at its start minus that at its end, nats
     failure: str | None = None  # why the loop gave up, or None; the rest is then the state before
     unfinished: str | None = None  # where it was stopped short of a minimum, or None
 
     @cached_property
     def energies(self) -> dict[str, float]:
-        """Energy by term over everything, nats; none where they were not to be told or it gave up."""
-        return self.told()
+        """Energy by term over everything, nats; none where they were not asked for or it gave up."""
+        return self.make_energies()
 
     @cached_property
     def gain(self) -> float:
         """Energy at the start minus that at the end, nats; NaN where the strategy defines none."""
-        return sum(one() for one in self.gains)
+        return sum(make() for make in self.make_gains)
 
     @property
     def energy(self) -> float:
@@ -87,18 +87,18 @@ def optimise(graph: Graph, start: State, most: int | None = None, steady: float 
         loop.run()
     except DegenerateProblemError as error:
         failure = str(error)
-    are_told = failure is None and most is None
-    energies = cache(lambda: graph.energies(loop.values, loop.weights) if are_told else {})
+    has_energies = failure is None and most is None
+    energies = cache(lambda: graph.energies(loop.values, loop.weights) if has_energies else {})
     if graph.sensed:  # which are matched anew where others look
         energies()
-    known = are_told and graph.options.strategy.descends
+    known = has_energies and graph.options.strategy.descends
     return Optimum(
         state=graph.read(loop.values, loop.weights),
         values=loop.values,
-        told=energies,
+        make_energies=energies,
         steps=tuple(loop.steps),
         iterations=loop.iterations,
-        gains=(lambda: loop.first - sum(energies().values()) if known else float("nan"),),
+        make_gains=(lambda: loop.first - sum(energies().values()) if known else float("nan"),),
         failure=failure,
         unfinished=None if loop.converged else f"after {loop.iterations} iterations",
     )
