@@ -28,7 +28,7 @@ DEFAULTS = {
         "sigma_relative": 0.035,
         "sigma_pixels": 1.0,
         "least_confidence": 0.0,
-        "common_factor": 3.0,
+        "common_factor": 7.0,
         "facing_bias": -0.390,
         "facing_slope": 0.976,
         "fitted": False,
