@@ -13,9 +13,9 @@ altogether: frames of another vehicle begin anew (`vehicle_filter`).
 
 A network is wrong about a vehicle for as long as it sees it alike. So all frames of one view, of about one direction
 and one size in the image, say together little more than one of them: their mean, which counts the more the more they
-are, but never as more than two images. Another view counts anew. Whatever was believed before, the vehicle faces as
-the last images of its view alone say where these are surer: of what errs alike to an unknown degree the surer counts,
-and no belief is locked.
+are, but never as more than two images. Another view counts anew. Whatever was believed before, the vehicle faces as its
+last images alone say where these are surer: of what errs alike to an unknown degree the surer counts, and no belief is
+locked.
 """
 
 from __future__ import annotations
@@ -173,13 +173,13 @@ class TrackHeading:
     mean: Array  # (B,) logarithms of what a frame of that says, on average
     frames: int  # how many it has
     first: bool  # whether there was none before it in time; it counts as one image at least
-    recent: Array  # (B,) logarithms of what its last images say on average, beside one before them that says nothing
+    recent: Array  # (B,) logarithms of what the last images say on average, each counting less than the one after it
 
     @classmethod
     def begun(cls, image: Array, place: Array, height: float) -> TrackHeading:
         """By a first frame: its image (B,), logarithms, of a vehicle at a place (3,), so many pixels high."""
         view = Aspect.of(Belief.none().updated(image).heading, place, height)
-        return cls(Belief.none(), Belief.none(), view, image, frames=1, first=True, recent=image / 2.0)
+        return cls(Belief.none(), Belief.none(), view, image, frames=1, first=True, recent=image)
 
     def following(
         self, seconds: float, turn: float, image: Array, place: Array, height: float, way: Array | None
@@ -201,15 +201,14 @@ class TrackHeading:
             way=self.way.predicted(seconds, turn).updated(np.zeros(_BINS) if way is None else way),
             mean=mean + (image - mean) / (self.frames + 1),
             frames=self.frames + 1,
-            recent=recent + max(1.0 / (self.frames + 2), SETTINGS.recent_share) * (image - recent),
+            recent=recent + SETTINGS.recent_share * (image - recent),
         )
         view = Aspect.of(moved.whole.heading, place, height)
         if not view.differs(self.view):
             return moved
         before = replace(moved, mean=mean, frames=self.frames)
         first = self.first and seconds < SETTINGS.simultaneous_s
-        begun = TrackHeading.begun(image, place, height)
-        return replace(begun, earlier=before.by_views, way=moved.way, view=view, first=first)
+        return replace(moved, earlier=before.by_views, view=view, mean=image, frames=1, first=first)
 
     @property
     def by_views(self) -> Belief:
@@ -226,7 +225,7 @@ class TrackHeading:
 
     @property
     def belief(self) -> Belief:
-        """By all of them, or by the last images of its view alone where these are surer, and by the way."""
+        """By all of them, or by the last images alone where these are surer, and by the way."""
         surer = max(self.by_views, Belief.none().updated(self.recent), key=lambda one: one.sureness)
         return surer.updated(np.log(self.way.probability))
 

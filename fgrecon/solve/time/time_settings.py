@@ -29,7 +29,7 @@ class TimeSettings:
     view_log_height: float = 0.3  # and so is one from so much nearer; chosen on drives 0095, 0009, 0013 and 0005
     view_images: float = 2.0  # that many frames of one view count as together, at most; on the same drives
     view_half_frames: float = 4.0  # of which they count as half of that; on the same drives
-    recent_share: float = 0.12  # of the last image in the average of the last ones, at least; on the same drives
+    recent_share: float = 0.12  # of the last image in the average of the last ones; on the same drives
     turn_rate_sigma_rad: float = 0.3  # that a vehicle turns in a second
     jump_probability_per_s: float = 1e-7  # that it faces elsewhere: frames of another vehicle begin anew
     same_side_rad: float = float(np.deg2rad(60.0))  # headings further apart are of different poses

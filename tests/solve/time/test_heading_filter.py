@@ -94,19 +94,6 @@ def test_a_vehicle_faces_as_its_last_images_where_these_are_surer_than_all_befor
     assert last.whole.facing(0.0) < 0.5  # in the end all count
 
 
-def test_a_new_view_that_is_surer_decides_and_by_itself_is_never_surer_than_its_images():
-    """From near a network sees more; and what errs alike says no more for being repeated."""
-    far, near = [towards(np.pi, 1.0)] * 30, [towards(0.0, 5.0)] * 12
-    images = [*far, *near, *far]
-    *found, end = followed(images, heights=[50.0] * 30 + [120.0] * 12 + [50.0] * 30)
-    assert max(sides(found[:30])) < 0.5 < min(sides(found[30:42]))
-    assert end.belief.facing(0.0) > 0.5  # as those from near say, which are surer than all from far
-    surest = Belief.none().updated(near[0]).facing(0.0)
-    alone = [Belief.none().updated(one.recent).facing(0.0) for one in found[30:42]]
-    assert (np.diff(alone) > 0.0).all()
-    assert alone[0] < alone[-1] < surest
-
-
 def test_a_way_counts_whole_beside_the_images():
     """It is evidence of another kind: each stretch tells anew, and no image is surer than both."""
     forth = path_evidence(np.array([10.0, 0.0, 0.0]), 0.3)
