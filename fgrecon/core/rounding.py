@@ -19,6 +19,8 @@ DECIMALS: Mapping[str, int] = {
     "box_size": 6,
     "weights": 6,
     "visibility": 6,
+    "facing_probability": 9,
+    "box_excess": 6,
     "milliseconds": 3,
 }
 """Digits behind the point, by field: nanometres of the pose, micrometres of keypoints, thousandths of pixels."""

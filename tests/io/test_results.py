@@ -48,8 +48,8 @@ def test_the_compact_form_keeps_the_digits_that_it_promises():
     back = through_json(result, compact=True)
     for name, digits in DECIMALS.items():
         if name != "milliseconds":
-            away = np.abs(value_of(back, name) - value_of(result, name))
-            assert away.max() <= 0.5000001 * 10.0**-digits, name
+            near = 0.5000001 * 10.0**-digits
+            np.testing.assert_allclose(value_of(back, name), value_of(result, name), rtol=0.0, atol=near, err_msg=name)
     for name, digits in SIGNIFICANT.items():
         if name.endswith("covariance"):
             np.testing.assert_allclose(value_of(back, name), value_of(result, name), rtol=0.5 * 10.0 ** (1 - digits))
