@@ -156,7 +156,8 @@ def test_cars_scenes_and_tracks_say_it():
     alone = reconstruct(poor, CAMERA, ground=1.65)
     assert any("carry it" in reason for reason in alone.reasons)
     assert alone.status in (Status.WEAK, Status.AMBIGUOUS)
-    scene = fgrecon.reconstruct_scene([whole, poor], CAMERA, ground=1.65)
+    beside = observe(prior, yaw_pose(0.6, POSE[:3, 3] + [4.0, 0.0, 3.0]))
+    scene = fgrecon.reconstruct_scene([beside, poor], CAMERA, ground=1.65)
     assert [bool(car.reasons) for car in scene.vehicles] == [False, True]
     track = fgrecon.reconstruct_track([poor, poor], CAMERA)
     assert all(frame.reasons for frame in track.frames)

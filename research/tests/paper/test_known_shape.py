@@ -125,9 +125,12 @@ def test_where_people_put_their_marks_is_found_and_taken_off(tmp_path, models, s
     found = marking_offsets(cars, camera, category)
     assert found == pytest.approx(true, abs=2e-3)
     assert marking_offsets(cars[:5], camera, category) == pytest.approx(np.zeros((14, 3)))
-    scores, _ = _score_car(cars[3], camera, [(scene.prior, np.zeros((14, 3))), (scene.prior, true)])
-    assert scores[4:, 0].max() < 0.5 * scores[:4, 0].min()
-    assert scores[4:, 2].max() < 0.005
+    variants = [(scene.prior, np.zeros((14, 3))), (scene.prior, true)]
+    scores = np.array([_score_car(one, camera, variants)[0] for one in cars[3::8]])
+    wrong, right = np.split(scores, 2, axis=1)  # what is between start and end may stop short of a minimum
+    assert (np.median(right[..., 0], axis=0) < 0.5 * np.median(wrong[..., 0], axis=0)).all()
+    assert right[:, -1, 0].max() < 0.5 * wrong[:, -1, 0].min()
+    assert right[:, -1, 2].max() < 0.005
 
 
 def test_a_crash_is_wrong_and_named(tmp_path, models):
