@@ -36,7 +36,7 @@ _MOST_KEYS = 3
 
 @dataclass(frozen=True, slots=True)
 class _Member:
-    """A factor of a system: and its compiled rows if it has them."""
+    """A factor of a system, and its compiled rows if it has them."""
 
     factor: Any
     rows: CompiledRows | None
@@ -80,40 +80,44 @@ class _System:
 
 
 class CompiledSystem(_System):
-    """Factors that are all compiled."""
+    """Factors that are all compiled.
+
+    Attributes:
+        bound: Their rows with their variables.
+        members: The factors, which are held so that no other one has the identity of one of them.
+    """
 
     def __init__(self, members: Sequence[_Member], values: gtsam.Values) -> None:
         """Bind the rows."""
         super().__init__(values)
-        self._bound = _Bound(members, self.places)
-        self._rows = self._bound.rows
-        self._held = members  # so that no other factor has the identity of one of them
+        self.bound = _Bound(members, self.places)
+        self.members = members
 
     @property
     def variables(self) -> tuple[Any, ...]:
         """What the rows of its first factor take (`CompiledRows.variables`)."""
-        rows = self._held[0].rows
+        rows = self.members[0].rows
         assert rows is not None
         return rows.variables
 
     def with_rows(self, rows: CompiledRows) -> CompiledSystem:
         """The same with other rows of the same `variables` in the place of its first factor."""
-        other, bound = copy(self), self._bound.of(self._rows.with_source(rows.source))
-        held = [_Member(rows, rows), *self._held[1:]]
-        vars(other).update(_rows=bound.rows, _bound=bound, _held=held)
+        other = copy(self)
+        other.bound = self.bound.of(self.bound.rows.with_source(rows.source))
+        other.members = [_Member(rows, rows), *self.members[1:]]
         return other
 
     def point(self, values: gtsam.Values) -> Array:
         """The point at values."""
-        return self._bound.point(values)
+        return self.bound.point(values)
 
     def values(self, point: Array) -> gtsam.Values:
         """Values at a point."""
-        return self._bound.values(point)
+        return self.bound.values(point)
 
     def moved(self, point: Array, step: Array) -> Array:
         """Where a step leads."""
-        return self._rows.moved(point, step)
+        return self.bound.rows.moved(point, step)
 
     def step(self, point: Array) -> tuple[Array, Callable[[], float]]:
         """The step (D,) to the minimum of the linear graph at a point, and what tells the energy there, nats.
@@ -121,16 +125,16 @@ class CompiledSystem(_System):
         Raises:
             RuntimeError: Nothing determines some direction.
         """
-        energy = self._rows.linearise(point)
-        step: Array | None = self._rows.step()
+        energy = self.bound.rows.linearise(point)
+        step: Array | None = self.bound.rows.step()
         if step is None:
             raise RuntimeError("an indeterminate system")
         return step, lambda: float(energy)
 
     def information(self, point: Array) -> Array:
         """(D, D) of the linear graph at a point, in the order of a step."""
-        self._rows.linearise(point)
-        return self._rows.information()[:-1, :-1]
+        self.bound.rows.linearise(point)
+        return self.bound.rows.information()[:-1, :-1]
 
     def covariance(
         self, point: Array, least: float, keys: Iterable[int] | None = None
@@ -146,22 +150,22 @@ class CompiledSystem(_System):
             A function from indices (m,) of a step to the covariance (m, m); of variables that no factor, or what
             elimination makes of factors, is about together it raises KeyError. None where something is undetermined.
         """
-        self._rows.linearise(point)
+        self.bound.rows.linearise(point)
         begin = min([self.places[key].start for key in (self.places if keys is None else keys)], default=self.size)
-        return self._rows.covariance(begin, least)
+        return self.bound.rows.covariance(begin, least)
 
     def error(self, point: Array) -> float:
         """Energy of all factors at a point, nats."""
-        return float(self._rows.error(point))
+        return float(self.bound.rows.error(point))
 
     def error_of(self, factors: Iterable[Any], point: Point) -> float:
         """Energy of some of its factors at a point, nats."""
-        place = {id(member.factor): place for place, member in enumerate(self._held)}
-        return float(self._rows.error_of(point, [place[id(factor)] for factor in factors]))
+        place = {id(member.factor): place for place, member in enumerate(self.members)}
+        return float(self.bound.rows.error_of(point, [place[id(factor)] for factor in factors]))
 
     def judge(self, point: Array, looks: Sequence[bool]) -> list[Array]:
         """What factors that judge (`Source.judge`) find out of a point, in their order; with a look all of it anew."""
-        return self._rows.judge(point, looks)
+        return self.bound.rows.judge(point, looks)
 
 
 class MixedSystem(_System):
