@@ -93,15 +93,13 @@ class CompiledSystem(_System):
         self.bound = _Bound(members, self.places)
         self.members = members
 
-    @property
-    def variables(self) -> tuple[Any, ...]:
-        """What the rows of its first factor take (`CompiledRows.variables`)."""
-        rows = self.members[0].rows
-        assert rows is not None
-        return rows.variables
-
-    def with_rows(self, rows: CompiledRows) -> CompiledSystem:
-        """The same with other rows of the same `variables` in the place of its first factor."""
+    def with_rows(self, rows: CompiledRows) -> CompiledSystem | None:
+        """The same with other rows in the place of its first factor; None where they take other variables."""
+        first = self.members[0].rows
+        assert first is not None
+        pairs = zip(first.variables, rows.variables, strict=True)
+        if not all(a is b or (isinstance(a, int) and isinstance(b, int) and a == b) for a, b in pairs):
+            return None
         other = copy(self)
         other.bound = self.bound.of(self.bound.rows.with_source(rows.source))
         other.members = [_Member(rows, rows), *self.members[1:]]

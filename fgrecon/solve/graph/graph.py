@@ -11,14 +11,13 @@ import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from functools import cache, cached_property
 
 import gtsam
 import numpy as np
 
 from factors import check_in_front
-from factors.guard import CompiledFactor, CompiledRows
+from factors.guard import CompiledFactor
 from factors.keys import F, S, decode_key, key_name
 from factors.mixture import Form
 from factors.sensed import SensedFactor
@@ -276,24 +275,13 @@ class Graph:
         """All factors of its variables; made once."""
         if self._system is None:
             observed = [part.compiled or part.factor for part in self.observations if part.keys]
-            both = [*observed, *self._sensed_factors, *self.extra]
-            if (rows := self._alone(both)) is None:
-                self._system = system_of([*both, *self._own], values)
-                return self._system
-            vehicle = self.observations[0].vehicle
-            if vehicle.alone is not None and vehicle.alone.variables == rows.variables:
-                self._system = vehicle.alone.with_rows(rows)
+            every = [*observed, *self._sensed_factors, *self.extra, *self._own]
+            rows, vehicle = self.observations[0].compiled, self.observations[0].vehicle
+            if rows is not None and len(every) == 1 + len(vehicle.solved) and every[0] is rows:
+                self._system = vehicle.system_with(rows, values)
             else:
-                self._system = system_of([rows, *self._own], values)
-                vehicle.alone = self._system if isinstance(self._system, CompiledSystem) else None
+                self._system = system_of(every, values)
         return self._system
-
-    def _alone(self, factors: Sequence[Any]) -> CompiledRows | None:
-        """The rows of a vehicle in one image with nothing beside, of which no variable is a constant; else None."""
-        rows = self.observations[0].compiled
-        if rows is None or len(factors) > 1 or self.shared.known:
-            return None
-        return rows if all(one is None or isinstance(one, int) for one in rows.variables) else None
 
     @cached_property
     def _judges(self) -> bool:
@@ -453,6 +441,17 @@ class Graph:
             for name, energy in part.energies(values, weight).items():
                 total[name] = total.get(name, 0.0) + energy
         return total | self.own_energies(values)
+
+    def energy(self, values: gtsam.Values, weights: Sequence[Weights]) -> float:
+        """The sum of `energies`, nats."""
+        return sum(self.energies(values, weights).values())
+
+    def read_energies(self, values: gtsam.Values, weights: Sequence[Weights]) -> Callable[[], dict[str, float]]:
+        """What tells `energies` here: made when first read, at once where other sensors are matched anew elsewhere."""
+        read = cache(lambda: self.energies(values, weights))
+        if self.sensed:
+            read()
+        return read
 
 
 def _check_columns(number: int, factor: gtsam.CustomFactor, values: gtsam.Values) -> None:

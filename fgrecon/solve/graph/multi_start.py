@@ -67,7 +67,7 @@ class MultiStartResult:
         """
         values = self.optimum.values
         weights = self.graph.reweigh(values, self.optimum.state.weights, 1.0)
-        return sum(self.graph.energies(values, weights).values())
+        return self.graph.energy(values, weights)
 
 
 def minimise_from_proposals(
@@ -286,7 +286,7 @@ def _refined_with_shape_held(
     if not others:
         return [Alternative(here.poses[0].matrix(), coefficients, 0.0)]
     graph = Graph([one], here, pose_free=True, hold_shape=True, extra=extra)
-    present = sum(graph.energies(graph.values(here), here.weights).values())
+    present = graph.energy(graph.values(here), here.weights)
     modes = [Alternative(here.poses[0].matrix(), coefficients, present)]
     for pose in others:
         moved = State([gtsam.Pose3(pose)], here.shapes, here.weights)

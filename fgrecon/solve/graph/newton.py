@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -74,7 +74,7 @@ class Descent:
         self.weights: list[Weights] = list(start.weights)
         self.steps: list[Step] = []
         self.iterations = 0
-        self._first: Callable[[], float] = lambda: float("inf")
+        self._first: Callable[[], dict[str, float]] = dict
         self.converged = False
         self._lengths = (np.inf, np.inf)  # of the last two steps
         self._damping = SETTINGS.first_damping
@@ -115,10 +115,7 @@ class Descent:
         """
         self.weights = self.graph.reweigh_at(self._point, self.weights)
         if self.most is None:
-            start = self.graph, self.values, self.weights
-            self._first = cache(lambda: _energy(*start))
-            if self.graph.sensed:  # which are matched anew by each iteration
-                self._first()
+            self._first = self.graph.read_energies(self.values, self.weights)
         states = [(self._point, self.weights)]
         steps = Anderson()
         for iteration in range(NEWTON.followed_iterations):
@@ -136,7 +133,7 @@ class Descent:
         energies = [self.first]
         for point, self.weights in states[1:]:
             self._go(point)
-            energies.append(self._energy())
+            energies.append(self.graph.energy(self.values, self.weights))
         point, self.weights = states[energies.index(min(energies))]
         self._go(point)
         self._settle()
@@ -178,10 +175,7 @@ class Descent:
     @property
     def first(self) -> float:
         """Energy at the start, nats."""
-        return self._first()
-
-    def _energy(self) -> float:
-        return _energy(self.graph, self.values, self.weights)
+        return sum(self._first().values())
 
     def _record(self) -> None:
         if self.graph.options.keep_history:
@@ -251,10 +245,6 @@ class Descent:
         first = SETTINGS.first_damping  # too much of it keeps all still
         self._damping = first if self._still else max(solution.damping, first)
         return (before and self._still) or self._in_vain >= NEWTON.vain_steps
-
-
-def _energy(graph: Graph, values: gtsam.Values, weights: Sequence[Weights]) -> float:
-    return sum(graph.energies(values, weights).values())
 
 
 class _Swinging:

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 
 import gtsam
 import numpy as np
@@ -50,7 +50,7 @@ class Optimum:
     failure: str | None = None  # why the loop gave up, or None; the rest is then the state before
     unfinished: str | None = None  # where it was stopped short of a minimum, or None
 
-    @cached_property
+    @property
     def energies(self) -> dict[str, float]:
         """Energy by term over everything, nats; none where they were not asked for or it gave up."""
         return self.make_energies()
@@ -88,9 +88,7 @@ def optimise(graph: Graph, start: State, most: int | None = None, steady: float 
     except DegenerateProblemError as error:
         failure = str(error)
     has_energies = failure is None and most is None
-    energies = cache(lambda: graph.energies(loop.values, loop.weights) if has_energies else {})
-    if graph.sensed:  # which are matched anew where others look
-        energies()
+    energies = graph.read_energies(loop.values, loop.weights) if has_energies else dict
     known = has_energies and graph.options.strategy.descends
     return Optimum(
         state=graph.read(loop.values, loop.weights),
@@ -190,4 +188,4 @@ class _Loop:
         self.update += 1
 
     def energy(self) -> float:
-        return sum(self.graph.energies(self.values, self.weights).values())
+        return self.graph.energy(self.values, self.weights)

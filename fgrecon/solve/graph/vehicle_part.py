@@ -24,12 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors import L, LinearShape, O, fit_plane
+from factors.guard import CompiledRows
 from factors.keys import S
 from factors.native import native
 from factors.shape_factor import ShapeContext, ShapeTerm, shape_terms
 from factors.shape_prior import spread_prior
 from factors.shape_terms import STACKED, ShapeTerms
-from factors.system import CompiledSystem
+from factors.system import CompiledSystem, MixedSystem, system_of
 from fgrecon.core.arrays import Array
 from fgrecon.core.options import Options
 from fgrecon.core.robust import StrategyName
@@ -87,7 +88,7 @@ class VehiclePart:
             for term in self._present.values():
                 self._planes |= term.planes(about)
         self._made: dict[str, list[gtsam.NonlinearFactor]] = {}
-        self.alone: CompiledSystem | None = None
+        self._last_system: CompiledSystem | None = None
         self._enclosed: tuple[Array, Array, LinearShape] | None = None
         self._stack = self._stacked()
         self._solved: list[gtsam.NonlinearFactor] = [self._stack.factor()] if self._stack is not None else []
@@ -146,6 +147,14 @@ class VehiclePart:
     def solved(self) -> Sequence[gtsam.NonlinearFactor]:
         """The factors of all terms as the solver gets them: the stacked ones in one."""
         return self._solved
+
+    def system_with(self, rows: CompiledRows, values: gtsam.Values) -> CompiledSystem | MixedSystem:
+        """The system of one image's rows and its terms: the last one, where its rows are of the same variables."""
+        system: CompiledSystem | MixedSystem | None = self._last_system and self._last_system.with_rows(rows)
+        if system is None:
+            system = system_of([rows, *self._solved], values)
+            self._last_system = system if isinstance(system, CompiledSystem) else None
+        return system
 
     @cached_property
     def size_error(self) -> Array | None:
