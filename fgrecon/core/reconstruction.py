@@ -168,7 +168,7 @@ class Diagnostics(LazyFields):
         points: (N, 3) points of other sensors that the graph had, camera frame, metres; none where nobody gave any.
         point_weights: (N,) final weight of each in [0, 1]: how surely it is the vehicle's.
         evidence: By kind of what was given beside the picture, by how many times it makes the position's standard
-            deviation smaller.
+            deviation smaller; of `range_rate` the velocity's.
         depth_scales: (Q, 2) scale and shift of each depth map whose pixels share an error, by all vehicles that were
             solved together (`fgrecon.DepthCalibration`); of metric ones those of the inverse depth.
         depth_covariances: (Q, 2, 2) of these.

@@ -382,6 +382,14 @@ def weakened(result: Reconstruction, reasons: Sequence[str], status: Status = St
     return replace(result, status=status, message=f"{text[0].upper()}{text[1:]}.", reasons=every)
 
 
+def with_gains(result: Reconstruction, gained: Mapping[str, float]) -> Reconstruction:
+    """The result with what further kinds of evidence took off."""
+    if not gained:
+        return result
+    evidence = {**result.diagnostics.evidence, **gained}
+    return replace(result, diagnostics=replace(result.diagnostics, evidence=evidence))
+
+
 def with_facing_over_time(result: Reconstruction, problem: Problem) -> Reconstruction:
     """A frame's result with a facing by all frames, ambiguous unless that is sure or the image by itself says the same.
 

@@ -50,7 +50,7 @@ from fgrecon.solve.inputs import (
     without_rates_over_ground,
 )
 from fgrecon.solve.proposals.point_term import with_its_points
-from fgrecon.solve.result import marginalise, results, with_facing_over_time
+from fgrecon.solve.result import marginalise, results, with_facing_over_time, with_gains
 from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.threads import single_threaded
@@ -58,7 +58,7 @@ from fgrecon.solve.time.camera_drift import CameraDrift
 from fgrecon.solve.time.frame import Frame
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle_filter import FilterModel
-from fgrecon.solve.time.window import MotionFactors, WindowSolve, velocity_covariances
+from fgrecon.solve.time.window import MotionFactors, WindowSolve, rate_gains, velocity_covariances
 
 _MAPPING = "Give a mapping: an `fgrecon.Observation` by id. Images go to `fgrecon.video.ImageTracker`."
 
@@ -377,6 +377,8 @@ def _estimates(
     if not single:
         pairs = zip(selected, reconstructions, strict=True)
         reconstructions = [with_facing_over_time(result, frame.given) for frame, result in pairs]
+        gains = rate_gains(solved, selected, spreads)
+        reconstructions = [with_gains(result, gained) for result, gained in zip(reconstructions, gains, strict=True)]
     found = []
     for (index, (frame, context)), result, facing, spread in zip(
         frames.items(), reconstructions, facings, spreads, strict=True

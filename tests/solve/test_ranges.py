@@ -99,6 +99,27 @@ def test_a_range_rate_tells_the_speed_over_time() -> None:
         assert sigma_with < 0.5 * sigma
 
 
+def test_results_say_by_how_much_range_rates_make_velocities_surer() -> None:
+    """As two trackers say, of which one has no rates: without noise both end at about the same place."""
+    spread = {}
+    for sigma in (None, 0.1):
+        tracker = Tracker(size_prior="kitti")
+        for i in range(4):
+            place = np.array([2.0, 1.65, 20.0 + 0.4 * i])
+            one = observe(load_prior("car14"), yaw_pose(-np.pi / 2.0, place), SHAPE, noise=0.0)
+            rate = RangeRate(4.0 * place[2] / np.linalg.norm(place - [0.0, 0.75, 0.0]), sigma or 1.0)
+            given = replace(one, evidence=(rate,) if sigma else ())
+            found = tracker.update(i / 10.0, {3: given}, camera=CAMERA, ground=1.65)[3]
+        assert found.velocity_covariance is not None
+        spread[sigma] = np.sqrt(np.trace(found.velocity_covariance))
+        gained = found.reconstruction.diagnostics.evidence
+        assert gained.keys() == ({"range_rate"} if sigma else set())
+    assert gained["range_rate"] == pytest.approx(spread[None] / spread[0.1], rel=0.05)
+    assert gained["range_rate"] > 1.5
+    for one in tracker.smooth()[3]:
+        assert one.reconstruction.diagnostics.evidence["range_rate"] > 1.2
+
+
 def test_relative_rates_need_no_motion_of_the_camera() -> None:
     speeds = {}
     for rates in (False, True):

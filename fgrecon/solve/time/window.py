@@ -50,6 +50,9 @@ MotionFactors = Callable[[int, int, float, float], Sequence[gtsam.NonlinearFacto
 """Numbers of two frames that follow each other, the seconds between them, and what to multiply standard deviations by:
 makes factors on X(0, number), V(0, number) and L(0)."""
 
+RANGE_RATE = "range_rate"
+"""Name of what radars say of velocities."""
+
 
 @dataclass(frozen=True)
 class WindowSolve:
@@ -58,13 +61,14 @@ class WindowSolve:
     parts: tuple[GraphObservation, ...]  # the frames' observations
     starts: tuple[PoseEstimate, ...]  # their proposals
     adjusted: MultiStartResult  # where the graph's optimisation ended
-    extra: tuple[gtsam.NonlinearFactor, ...]  # the factors of motion
+    extra: tuple[gtsam.NonlinearFactor, ...]  # the factors of motion, and of range rates
     motion_share: float = 1.0  # share of their information that these have
     # whether the velocity of each is over the world, else it is relative to the camera; None where no time has
     # passed that tells it
     over_world: tuple[bool | None, ...] = ()
     # whether the vehicle stands in all of them, or drives; None where that is not certain
     stands: bool | None = None
+    rates: tuple[gtsam.NonlinearFactor, ...] = ()  # of the factors those of range rates
 
     def moved(self, frames: Sequence[Frame]) -> list[Frame]:
         """The frames where they ended."""
@@ -132,11 +136,11 @@ def solve_window(
         extra: Makes factors of the caller's own for each step; or None.
         stands: Whether the vehicle stands, where that is known already; None where it is to be found out.
     """
-    between = _between_factors(frames, model)
+    between, rates = _between_factors(frames, model), _range_rates(frames)
 
     def solved(known: bool | None) -> WindowSolve:
         factors = [*between, *_motion_factors(frames, model, extra, known)]
-        return _solved(frames, shape, factors, max_iterations, known)
+        return replace(_solved(frames, shape, [*factors, *rates], max_iterations, known), rates=tuple(rates))
 
     tells = seconds_from(frames[0].time, frames[-1].time) >= SETTINGS.driving_evidence_s
     if not (model.wheeled and tells and all(frame.camera_known for frame in frames[1:])):
@@ -224,7 +228,6 @@ def _motion_factors(
         assert after.step is not None
         seconds = min(after.step.seconds, SETTINGS.longest_velocity_s)
         found += velocity_terms(frame.number, seconds, model, known=known, share=share, stands=stands)
-    found += _range_rates(frames, over_world)
     for before, frame in pairwise(frames):
         if extra is not None and frame.step is not None:
             own = extra(before.number, frame.number, frame.step.seconds, motion_share**-0.5)
@@ -232,14 +235,14 @@ def _motion_factors(
     return found
 
 
-def _range_rates(frames: Sequence[Frame], over_world: Sequence[bool]) -> list[gtsam.NonlinearFactor]:
+def _range_rates(frames: Sequence[Frame]) -> list[gtsam.NonlinearFactor]:
     """The factors of range rates; none of a rate over the ground where velocities are relative to the camera."""
     found: list[gtsam.NonlinearFactor] = []
-    for i, (frame, known) in enumerate(zip(frames, over_world, strict=True)):
+    for i, (frame, known) in enumerate(zip(frames, _over_world(frames), strict=True)):
         model = frame.problem.model
         middle = np.array([0.0, -model.dimension_mean[2] / 2.0, 0.0])
-        for one in frame.problem.observation.evidence:
-            if not isinstance(one, RangeRate) or (one.over_ground and not known):
+        for one in _rates_of(frame):
+            if one.over_ground and not known:
                 continue
             moves = known and not one.over_ground
             sensor = _sensor_velocity([*frames[i:0:-1], *frames[i + 1 :]], one.origin) if moves else np.zeros(3)
@@ -247,6 +250,10 @@ def _range_rates(frames: Sequence[Frame], over_world: Sequence[bool]) -> list[gt
                 keys = X(0, frame.number), V(0, frame.number)
                 found.append(range_rate_factor(keys, one.metres_per_second, one.sigma, one.origin, middle, sensor))
     return found
+
+
+def _rates_of(frame: Frame) -> list[RangeRate]:
+    return [one for one in frame.problem.observation.evidence if isinstance(one, RangeRate)]
 
 
 def _sensor_velocity(frames: Sequence[Frame], origin: Array) -> Array | None:
@@ -264,16 +271,44 @@ def _sensor_velocity(frames: Sequence[Frame], origin: Array) -> Array | None:
     return None
 
 
-def velocity_covariances(solved: WindowSolve, frames: Sequence[Frame]) -> list[Array | None]:
+def velocity_covariances(
+    solved: WindowSolve, frames: Sequence[Frame], graph: Graph | None = None
+) -> list[Array | None]:
     """(3, 3) covariance of each frame's velocity along the vehicle's own axes; None where it cannot be had.
 
     The axes are unsure as well: turned by w, a velocity changes by w x v. What images have wrong alike, for which they
     count by a share, leaves a velocity relative to the camera alone: of it they are as sure as if each counted whole.
+
+    Args:
+        graph: That of some of the factors; None for that which was solved.
     """
-    graph, optimum = solved.adjusted.graph, solved.adjusted.optimum
+    graph, optimum = graph or solved.adjusted.graph, solved.adjusted.optimum
     keys = {key(0, frame.number) for frame in frames for key in (X, V)}
     spread = marginals_of(graph, optimum.values, optimum.state.weights, keys, as_assumed=True)
     return [None if spread is None else _velocity_covariance(spread, frame, solved.motion_share) for frame in frames]
+
+
+def rate_gains(solved: WindowSolve, frames: Sequence[Frame], spreads: Sequence[Array | None]) -> list[dict[str, float]]:
+    """By how many times the range rates of all frames make the velocity's standard deviation of each smaller.
+
+    Nothing of a frame that has none, or where there is no covariance without them.
+
+    Args:
+        spreads: What `velocity_covariances` says of the frames.
+    """
+    if not solved.rates:
+        return [{}] * len(frames)
+    optimum, rates = solved.adjusted.optimum, {id(rate) for rate in solved.rates}
+    others = [factor for factor in solved.extra if id(factor) not in rates]
+    graph = Graph(solved.parts, optimum.state, pose_free=True, extra=others)
+    graph.look(optimum.values)
+    before = velocity_covariances(solved, frames, graph)
+    return [
+        {RANGE_RATE: float(np.sqrt(np.trace(without) / np.trace(spread)))}
+        if without is not None and spread is not None and _rates_of(frame)
+        else {}
+        for frame, without, spread in zip(frames, before, spreads, strict=True)
+    ]
 
 
 def _velocity_covariance(spread: Spread, frame: Frame, share: float) -> Array | None:
