@@ -252,6 +252,9 @@ def _line(found: FromImage, box: Array, offset: Array) -> str:
 
 def found_outcome(found: FromImage, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:
     """The outcome of what was found in an image; truth and size (3,) are the label's, in whose frame offset (3,) is."""
-    if found.result is None:
-        return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, str(found.error))
-    return outcome(found.result, truth, size, offset)
+    return failed(str(found.error)) if found.result is None else outcome(found.result, truth, size, offset)
+
+
+def failed(reason: str) -> BoxOutcome:
+    """The outcome of a box without a pose."""
+    return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, reason)

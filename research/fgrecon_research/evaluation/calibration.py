@@ -14,13 +14,11 @@ from fgrecon.calibration.regions import normalised_squared_error
 from fgrecon.core.camera import Ground
 from fgrecon.core.coverage import LEVELS, Coverage, Region, Reliability, coverage, reliability
 from fgrecon.core.errors import FgreconError
-from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.serialise import finite
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.track_file import GroundTruth
-from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.model import prepare
@@ -154,9 +152,6 @@ def judge_simulated(
     *,
     ground: Ground | None = None,
     size_prior: SizePrior | None = None,
-    options: Options | None = None,
-    noise: NoiseModel = HOURGLASS,
-    seed: int = 0,
 ) -> Iterator[Judged | None]:
     """Reconstruct simulated vehicles one by one, and judge what each result says of itself; None where one is refused.
 
@@ -165,15 +160,13 @@ def judge_simulated(
         ground: The ground that is given, or None.
         size_prior: The fleet that is given, or None.
     """
-    model, rng = prepare(prior, size_prior, None), np.random.default_rng(seed)
+    model, rng = prepare(prior, size_prior, None), np.random.default_rng(0)
     spread = model.any_fleet_spread if size_prior is None else model.spread_of(np.diag(size_prior.sigma**2))
     for number in range(count):
         shape = rng.multivariate_normal(np.zeros(prior.dimension), spread, method="cholesky")
-        ((observation, truth),) = simulate_many([Vehicle.of_prior(model.prior, shape)], 1, rng, noise)
+        ((observation, truth),) = simulate_many([Vehicle.of_prior(model.prior, shape)], 1, rng)
         try:
-            found = reconstruct(
-                observation, KITTI_CAMERA, prior=prior, ground=ground, size_prior=size_prior, options=options
-            )
+            found = reconstruct(observation, KITTI_CAMERA, prior=prior, ground=ground, size_prior=size_prior)
         except FgreconError:
             yield None
             continue

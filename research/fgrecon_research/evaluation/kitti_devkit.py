@@ -151,6 +151,14 @@ def regime_members(objects: Objects, regime: Regime) -> Mask:
     return inside & (height > regime.height)
 
 
+def counted_cars(labels: Objects) -> tuple[NDArray[np.intp], Mask]:
+    """(C,) positions of the cars that count in some regime, and (C, 3) in which."""
+    members = np.array([regime_members(labels, regime) for regime in REGIMES]).T
+    cars = np.array([kind == "Car" for kind in labels.kind], dtype=bool)
+    chosen = np.flatnonzero(cars & members.any(axis=1))
+    return chosen, members[chosen]
+
+
 def evaluate(
     labels: Mapping[str, Objects],
     results: Mapping[str, Objects],

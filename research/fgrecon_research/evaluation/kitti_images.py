@@ -10,18 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.calibration.labelled_boxes import BoxOutcome
+from fgrecon.calibration.labelled_frames import failed, found_outcome
 from fgrecon.calibration.matching import match_detections
 from fgrecon.calibration.setup import Setup, reconstruct_boxes
 from fgrecon.core.arrays import Array
-from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error
 from fgrecon.core.serialise import finite
 from fgrecon.io.export.dataset_results import kitti_objects
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
 from fgrecon.io.kitti_files import Objects
+from fgrecon.io.track_file import GroundTruth
 from fgrecon.perception.from_image import FromImage
 from fgrecon_research.evaluation.boxes3d import LabelledBox, scored_box
 from fgrecon_research.evaluation.boxes_summary import (
@@ -31,7 +32,7 @@ from fgrecon_research.evaluation.boxes_summary import (
     precisions,
     summarise_group,
 )
-from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
+from fgrecon_research.evaluation.kitti_devkit import REGIMES, counted_cars
 from fgrecon_research.evaluation.measures import THRESHOLDS, instances_within
 from fgrecon_research.io.kitti_sets import Defect, Fault, read_detections, read_labels
 
@@ -51,32 +52,19 @@ class ImageFrame:
 class Car:
     """One labelled car that counts in some regime."""
 
-    frame: str  # name of the frame
+    frame: ImageFrame
     index: int  # position in its label file
+    truth: GroundTruth  # its label, in the camera's frame
     regimes: NDArray[np.bool_]  # (3,) whether Easy, Moderate and Hard count it
     box: Array | None  # (4,) the box that was looked at, or None without a detection that overlaps it enough
     score: float | None  # of that detection; None without one, and where the labelled box was looked at
-    degrees: float  # orientation error; 180 without a result
-    metres: float  # translation error; infinite without a result
-    camera: Camera
-    rotation_y: float  # labelled yaw, radians
-    location: Array  # (3,) labelled location in the camera's frame, metres
-    size: Array  # (3,) labelled length, width and height, metres
     found: FromImage | None  # what was found, or None without a box
-    failure: str | None  # why there is no result, or None
+    outcome: BoxOutcome  # how far that is off
 
-
-@dataclass(frozen=True)
-class RegimeScore:
-    """A regime's numbers, over all of its cars (cumulative, as KITTI counts)."""
-
-    name: str  # `Easy`, `Moderate` or `Hard`
-    cars: int  # number of cars; those without a result are among them
-    within: tuple[int, ...]  # number of cars within 5, 15 and 30 degrees
-    mean_degrees: float  # mean orientation error
-    median_degrees: float  # median orientation error
-    median_metres: float  # median translation error
-    failures: int  # cars without a result
+    @property
+    def name(self) -> str:
+        """Its frame and position."""
+        return f"{self.frame.name}/{self.index}"
 
 
 def read_frames(
@@ -126,70 +114,52 @@ def read_frames(
 
 def score_frame(frame: ImageFrame, setup: Setup) -> list[Car]:
     """Reconstruct every car of a frame that counts in some regime; all boxes pass through the network at once."""
-    labels, offset = frame.labels, frame.calibration.label_offset
-    members = np.array([regime_members(labels, regime) for regime in REGIMES])
-    chosen = np.flatnonzero(np.array([kind == "Car" for kind in labels.kind], dtype=bool) & members.any(axis=0))
+    labels = frame.labels
+    chosen, regimes = counted_cars(labels)
     if not len(chosen):
         return []
     image = read_image(frame.image)
-    camera = frame.calibration.camera.with_size_of(image)
     boxes: list[Array | None] = [labels.box[i] for i in chosen]
     scores: list[float | None] = [None] * len(chosen)
     if frame.detections is not None:
         at = match_detections(labels.take(chosen), frame.detections, setup.overlap)
         boxes = [frame.detections.box[i] if i >= 0 else None for i in at]
         scores = [float(frame.detections.score[i]) if i >= 0 else None for i in at]
+    camera = frame.calibration.camera.with_size_of(image)
     results = iter(reconstruct_boxes(image, camera, [box for box in boxes if box is not None], setup))
     cars = []
-    for index, box, score in zip(chosen.tolist(), boxes, scores, strict=True):
+    for index, counts, box, score in zip(chosen.tolist(), regimes, boxes, scores, strict=True):
         found = None if box is None else next(results)
-        result = None if found is None else found.result
-        location = labels.location[index] + offset
-        degrees, metres = FAILURE_DEGREES, float("inf")
-        if result is not None:
-            degrees = float(orientation_error([result.rotation_y], [labels.rotation_y[index]])[0])
-            metres = float(translation_error([result.location], [location])[0])
-        failure = None if result is not None else "no detection" if found is None else str(found.error)
-        cars.append(
-            Car(
-                frame=frame.name,
-                index=index,
-                regimes=members[:, index],
-                box=box,
-                score=score,
-                degrees=degrees,
-                metres=metres,
-                camera=camera,
-                rotation_y=float(labels.rotation_y[index]),
-                location=location,
-                size=labels.size[index],
-                found=found,
-                failure=failure,
-            )
-        )
+        truth = GroundTruth(labels.location[index] + frame.calibration.label_offset, float(labels.rotation_y[index]))
+        off = failed("no detection")
+        if found is not None:
+            off = found_outcome(found, truth, labels.size[index], np.zeros(3))
+        cars.append(Car(frame, index, truth, counts, box, score, found, off))
     return cars
 
 
-def summarise(cars: Sequence[Car]) -> tuple[RegimeScore, ...]:
-    """The numbers of each regime that has a car."""
+def summarise(cars: Sequence[Car]) -> list[dict[str, Any]]:
+    """The numbers of each regime that has a car, over all of its cars (cumulative, as KITTI counts)."""
     scores = []
     for row, regime in enumerate(REGIMES):
-        own = [car for car in cars if car.regimes[row]]
+        own = [car.outcome for car in cars if car.regimes[row]]
         if not own:
             continue
-        degrees, metres = np.array([car.degrees for car in own]), np.array([car.metres for car in own])
+        degrees, metres = np.array([one.degrees for one in own]), np.array([one.metres for one in own])
+        within = {str(threshold): instances_within(degrees, threshold) for threshold in THRESHOLDS}
         scores.append(
-            RegimeScore(
-                name=regime.name,
-                cars=len(own),
-                within=tuple(instances_within(degrees, threshold) for threshold in THRESHOLDS),
-                mean_degrees=float(degrees.mean()),
-                median_degrees=float(np.median(degrees)),
-                median_metres=float(np.median(metres)),
-                failures=sum(car.failure is not None for car in own),
-            )
+            {
+                "name": regime.name,
+                "cars": len(own),
+                "aop": {threshold: count / len(own) for threshold, count in within.items()},
+                "within": within,
+                "mean_degrees": float(degrees.mean()),
+                "median_degrees": float(np.median(degrees)),
+                "median_metres": float(np.median(metres)),
+                "failures": sum(one.failure is not None for one in own),
+            }
         )
-    return tuple(scores)
+    return scores
 
 
 def document(cars: Sequence[Car], given: dict[str, Any]) -> dict[str, Any]:
@@ -197,32 +167,17 @@ def document(cars: Sequence[Car], given: dict[str, Any]) -> dict[str, Any]:
     return {
         "format": "fgrecon.kitti-images/1",
         "given": given,
-        "regimes": [
-            {
-                "name": score.name,
-                "cars": score.cars,
-                "aop": {
-                    str(threshold): count / score.cars
-                    for threshold, count in zip(THRESHOLDS, score.within, strict=True)
-                },
-                "within": dict(zip(map(str, THRESHOLDS), score.within, strict=True)),
-                "mean_degrees": score.mean_degrees,
-                "median_degrees": score.median_degrees,
-                "median_metres": finite(score.median_metres),
-                "failures": score.failures,
-            }
-            for score in summarise(cars)
-        ],
+        "regimes": [finite(score) for score in summarise(cars)],
         "cars": [
             {
-                "frame": car.frame,
+                "frame": car.frame.name,
                 "index": car.index,
                 "regimes": [regime.name for regime, member in zip(REGIMES, car.regimes, strict=True) if member],
                 "box": None if car.box is None else car.box.tolist(),
-                "degrees": car.degrees,
-                "metres": finite(car.metres),
-                "failure": car.failure,
-                "status": None if car.found is None or car.found.result is None else car.found.result.status.value,
+                "degrees": car.outcome.degrees,
+                "metres": finite(car.outcome.metres),
+                "failure": car.outcome.failure,
+                "status": car.outcome.status,
             }
             for car in cars
         ],
@@ -250,18 +205,15 @@ def score_boxes(frames: Sequence[ImageFrame], cars: Sequence[Car]) -> ImageBoxes
     Args:
         cars: All of their cars that count (`fgrecon_research.evaluation.kitti_images.score_frame`).
     """
-    by_name = {frame.name: frame for frame in frames}
-    named: dict[str, list[NamedResult]] = {name: [] for name in by_name}
+    named: dict[str, list[NamedResult]] = {frame.name: [] for frame in frames}
     vehicles = []
     for car in cars:
-        frame, box = by_name[car.frame], None
+        frame, box = car.frame, None
         if car.found is not None and car.found.result is not None:
-            offset = frame.calibration.label_offset
-            one = NamedResult("", car.found.result, car.box, offset, score=car.score)
-            named[car.frame].append(one)
+            one = NamedResult("", car.found.result, car.box, frame.calibration.label_offset, score=car.score)
+            named[frame.name].append(one)
             box = kitti_objects([one]) if one.solved else None
-        label = frame.labels.take(np.array([car.index]))
-        folder = frame.image.parent.parent.name
+        folder, label = frame.image.parent.parent.name, frame.labels.take(np.array([car.index]))
         vehicles.append(scored_box(folder, frame.name, car.index, frame.name, label, box))
     results = {name: kitti_objects(found) for name, found in named.items()}
     groups = {
@@ -271,5 +223,5 @@ def score_boxes(frames: Sequence[ImageFrame], cars: Sequence[Car]) -> ImageBoxes
     last = REGIMES[-1].name
     groups |= by_distance(last, groups[last])
     summaries = {name: summarise_group(members) for name, members in groups.items() if members}
-    curves = precisions({name: frame.labels for name, frame in by_name.items()}, results)
+    curves = precisions({frame.name: frame.labels for frame in frames}, results)
     return ImageBoxes(results, vehicles, summaries, curves)

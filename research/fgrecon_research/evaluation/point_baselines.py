@@ -13,11 +13,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from fgrecon.calibration.labelled_boxes import BoxOutcome
-from fgrecon.calibration.labelled_frames import ReconstructedFrame, ReconstructedVehicle
+from fgrecon.calibration.labelled_frames import ReconstructedFrame, ReconstructedVehicle, failed
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import yaw_rotation
-from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, wrap_angle
+from fgrecon.core.metrics import orientation_error, wrap_angle
 from fgrecon.core.point_frames import in_image
 from fgrecon.io.track_file import GroundTruth
 
@@ -60,7 +60,7 @@ def _box(solved: ReconstructedFrame, vehicle: ReconstructedVehicle) -> Array:
 def _score(solved: ReconstructedFrame, vehicle: ReconstructedVehicle, points: Array) -> Mapping[str, BoxOutcome]:
     found, prior = vehicle.found.result, solved.setup.size_prior
     if found is None or not len(points):
-        return dict.fromkeys((MEDIAN, CUBOID), _failed("no point in the 2D box" if found else "no pose by the picture"))
+        return dict.fromkeys((MEDIAN, CUBOID), failed("no point in the 2D box" if found else "no pose by the picture"))
     size = prior.mean if prior is not None else found.box_size
     middle = by_median_depth(points, solved.camera, _box(solved, vehicle), size)
     place = middle + np.array([0.0, size[2] / 2.0, 0.0])
@@ -70,7 +70,7 @@ def _score(solved: ReconstructedFrame, vehicle: ReconstructedVehicle, points: Ar
     bottom = float(found.location[1])  # of the picture: on its ground
     near = (np.abs(points[:, 2] - middle[2] + size[0] / 2.0) < _REACH) & (points[:, 1] < bottom - _FEET)
     if near.sum() < _FEWEST:
-        return scored | {CUBOID: _failed("too few points above the ground")}
+        return scored | {CUBOID: failed("too few points above the ground")}
     start = np.array([middle[0], bottom, middle[2]])
     place, yaw = fit_cuboid(points[near], start, found.rotation_y, size)
     return scored | {CUBOID: pose_outcome(place - offset, yaw, size, truth, labelled)}
@@ -126,7 +126,3 @@ def pose_outcome(location: Array, yaw: float, size: Array, truth: GroundTruth, l
         failure=None,
         off=(float(np.degrees(wrap_angle(yaw - truth.rotation_y))), x, y, z),
     )
-
-
-def _failed(why: str) -> BoxOutcome:
-    return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, why)

@@ -55,6 +55,6 @@ class TextTable:
         return TextTable([self.headings[number] for number in some], rows, self.texts, self.title)
 
 
-def number_or_dash(value: float | None, digits: str, factor: float = 1.0) -> str:
-    """A number, times a factor, in a format such as `.2f`; a dash for None."""
-    return "-" if value is None else format(factor * value, digits)
+def number_or_dash(value: float | None, digits: str) -> str:
+    """A number in a format such as `.2f`; a dash for None."""
+    return "-" if value is None else format(value, digits)

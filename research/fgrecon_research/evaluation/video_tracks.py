@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, BoxOutcome, VideoBox, outcome
-from fgrecon.calibration.labelled_frames import ScoredFrame
+from fgrecon.calibration.labelled_frames import ScoredFrame, failed
 from fgrecon.calibration.regions import normalised_squared_error
 from fgrecon.calibration.setup import Setup
 from fgrecon.core.arrays import Array
@@ -29,7 +29,6 @@ from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.geometry import transform, view_azimuth
 from fgrecon.core.half_turn import HALF_TURN
-from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.images import read_image
@@ -233,9 +232,7 @@ def _follow(
 
 def _outcome(found: Reconstruction | str, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:
     """Of a result, or of why there is none."""
-    if isinstance(found, str):
-        return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, found)
-    return outcome(found, truth, size, offset)
+    return failed(found) if isinstance(found, str) else outcome(found, truth, size, offset)
 
 
 def _estimates(

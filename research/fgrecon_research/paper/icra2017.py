@@ -253,21 +253,15 @@ def with_sizes(prior: ShapePrior, size: SizePrior) -> ShapePrior:
     return replace(prior, basis=np.einsum("nka,nm->mka", prior.basis, mix), surface=surface)
 
 
-def evaluate_icra2017(
-    folder: str | Path, options: Options | None = None, *, runs: int = 5, names: Sequence[str] = EXAMPLES
-) -> list[Icra2017Result]:
+def evaluate_icra2017(folder: str | Path, *, runs: int = 5, names: Sequence[str] = EXAMPLES) -> list[Icra2017Result]:
     """Reconstruct the cars of the release's images.
-
-    Args:
-        options: Settings; `settings` where None.
 
     Raises:
         InvalidInputError: A file is missing or has the wrong content.
     """
     learnt = import_icra2017(folder)
     prior = with_sizes(replace(learnt, basis=_SPREAD * learnt.basis), SIZE_PRIORS["kitti"])
-    options = settings() if options is None else options
-    return [_evaluate(name, load_icra2017_example(folder, name), prior, options, runs) for name in names]
+    return [_evaluate(name, load_icra2017_example(folder, name), prior, settings(), runs) for name in names]
 
 
 def true_pose(example: Icra2017Example) -> Array:

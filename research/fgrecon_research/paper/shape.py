@@ -228,7 +228,7 @@ class StrategyScore:
     translation: float  # median distance of the origin, metres
 
 
-def unsymmetrised_prior(models: Apollo79, exclude: Sequence[str], basis: int = 5, seed: int = 0) -> ShapePrior:
+def unsymmetrised_prior(models: Apollo79, exclude: Sequence[str], seed: int = 0) -> ShapePrior:
     """A prior as one learnt from 2D annotations may be: biased, noisy and not symmetric (`BIAS`).
 
     Learnt from the keypoints as fixed points of the meshes, which are not symmetric. The spread of its free offsets
@@ -242,9 +242,7 @@ def unsymmetrised_prior(models: Apollo79, exclude: Sequence[str], basis: int = 5
     shapes = models.keypoints_mesh[keep]
     shapes = shapes + BIAS * rng.standard_normal(shapes.shape) + BIAS * rng.standard_normal(shapes.shape[1:])
     surface = SurfaceSamples(models.vertices[keep], models.faces)
-    prior = pca_prior(
-        load_category("car14"), shapes, basis=basis, symmetric=False, surface=surface, name="unsymmetrised"
-    )
+    prior = pca_prior(load_category("car14"), shapes, basis=5, symmetric=False, surface=surface, name="unsymmetrised")
     return replace(prior, offset_sigma=np.hypot(prior.offset_sigma, BIAS))
 
 

@@ -25,7 +25,7 @@ from fgrecon.io.kitti_files import Objects
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel, Twins
 from fgrecon.simulation.vehicles import Vehicle, yaw_pose
 from fgrecon.solve.vehicle.visibility import TOLERANCE, clearance
-from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
+from fgrecon_research.evaluation.kitti_devkit import counted_cars
 
 Mask = NDArray[np.bool_]
 
@@ -80,15 +80,10 @@ def simulate_frame(frame: KittiFrame, fleet: Fleet) -> list[SimulatedInstance]:
     What an instance looks like depends on the seed, the frame's name and its place in the label file alone, so the
     order in which frames are worked on does not matter.
     """
-    labels = frame.labels
-    members = np.array([regime_members(labels, regime) for regime in REGIMES])
-    cars = np.array([kind == "Car" for kind in labels.kind], dtype=bool)
-    chosen = np.flatnonzero(cars & members.any(axis=0))
-    found = match_detections(labels.take(chosen), frame.detections)
-    return [
-        _instance(frame, fleet, index, members[:, index], detection)
-        for index, detection in zip(chosen.tolist(), found.tolist(), strict=True)
-    ]
+    chosen, regimes = counted_cars(frame.labels)
+    found = match_detections(frame.labels.take(chosen), frame.detections)
+    each = zip(chosen.tolist(), regimes, found.tolist(), strict=True)
+    return [_instance(frame, fleet, *one) for one in each]
 
 
 def _instance(frame: KittiFrame, fleet: Fleet, index: int, regimes: Mask, detection: int) -> SimulatedInstance:

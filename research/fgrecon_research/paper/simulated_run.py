@@ -88,18 +88,18 @@ class ConditionResult:
     seconds: float  # wall time of that
 
 
-def read_validation(folder: Path, image_set: str = "val") -> Validation:
-    """Read labels, cameras and 2D detections of an image set in KITTI's object layout.
+def read_validation(folder: Path) -> Validation:
+    """Read labels, cameras and 2D detections of the validation set in KITTI's object layout.
 
     Args:
-        folder: Has `ImageSets`, `training/label_2`, `training/calib` and `detections_2d/rgb_detection_<set>.txt`.
+        folder: Has `ImageSets`, `training/label_2`, `training/calib` and `detections_2d/rgb_detection_val.txt`.
 
     Raises:
         InvalidInputError: The image set, the detections or a camera cannot be read.
     """
-    names = read_image_set(folder / "ImageSets" / f"{image_set}.txt")
+    names = read_image_set(folder / "ImageSets" / "val.txt")
     labels, problems = read_labels(folder / "training" / "label_2", names)
-    detections, more = read_detections(folder / "detections_2d" / f"rgb_detection_{image_set}.txt", names)
+    detections, more = read_detections(folder / "detections_2d" / "rgb_detection_val.txt", names)
     frames = tuple(
         KittiFrame(
             name, labels[name], detections[name], read_calibration(folder / "training" / "calib" / f"{name}.txt")

@@ -29,7 +29,6 @@ from fgrecon_research.cli.evaluate.data_options import DATA, DataOption, Markdow
 from fgrecon_research.evaluation import kitti_images
 from fgrecon_research.evaluation.boxes_summary import plain_boxes, tables
 from fgrecon_research.evaluation.kitti_images import Car, ImageBoxes, ImageFrame, score_boxes, summarise
-from fgrecon_research.evaluation.measures import THRESHOLDS
 from fgrecon_research.evaluation.text_table import TextTable
 from fgrecon_research.io.kitti_sets import read_image_set, stated_model, write_results
 
@@ -167,7 +166,8 @@ def kitti_command(
     screen.print(f"{images}, {counted(len(scored), 'car')}, {kind} boxes; {known.origin}.", _table(scored).shown())
     screen.print(*(one.shown() for one in made))
     for car in scored:
-        screen.detail(f"{car.frame}/{car.index}: {car.failure or f'{car.degrees:.1f} degrees, {car.metres:.2f} m'}")
+        off = car.outcome
+        screen.detail(f"{car.name}: {off.failure or f'{off.degrees:.1f} degrees, {off.metres:.2f} m'}")
     screen.print(*map(str, problems))
     given = {
         "images": len(frames),
@@ -185,38 +185,36 @@ def kitti_command(
     screen.write_document(content)
     outputs.write(found, made, screen)
     drawn = outputs.picture is not None or delivery.requested
-    sights = _sights(scored, {frame.name: frame.image for frame in frames}) if drawn else []
+    sights = _sights(scored) if drawn else []
     if outputs.picture is not None and sights:
         screen.wrote(save_picture(outputs.picture, contact_sheet(sights, columns=5)))
     if delivery.requested:
         delivery.deliver(recordings_of(sights, setup.ground), screen, several=True)
-    if not any(car.failure is None for car in scored):
+    if all(car.outcome.failure is not None for car in scored):
         screen.fail("No car could be reconstructed.")
         raise typer.Exit(1)
 
 
 def _table(cars: list[Car]) -> TextTable:
-    rows = []
-    for score in summarise(cars):
-        shares = [f"{100 * count / score.cars:.1f} ({count})" for count in score.within]
-        numbers = [f"{score.mean_degrees:.1f}", f"{score.median_degrees:.1f}", f"{score.median_metres:.2f}"]
-        rows.append([score.name, str(score.cars), *shares, *numbers, str(score.failures)])
-    headings = [*(f"AOP {threshold}°" for threshold in THRESHOLDS), "mean °", "median °", "median m", "failed"]
-    return TextTable(["regime", "cars", *headings], rows)
-
-
-def _sights(cars: list[Car], images: dict[str, Path]) -> list[SolvedVehicle]:
-    """Every car with a result, with its photograph and the labelled box."""
-    photographs = {name: read_image(images[name]) for name in {car.frame for car in cars}}
-    return [
-        SolvedVehicle(
-            car.found.result,
-            car.found.detection.observation,
-            car.camera,
-            photographs[car.frame],
-            Truth(yaw_pose(car.rotation_y, car.location), car.size),
-            f"{car.frame}/{car.index}",
-        )
-        for car in cars
-        if car.found is not None and car.found.result is not None
+    rows = [
+        {"regime": one["name"], "cars": str(one["cars"])}
+        | {f"AOP {most}°": f"{100 * one['aop'][most]:.1f} ({count})" for most, count in one["within"].items()}
+        | {"mean °": f"{one['mean_degrees']:.1f}", "median °": f"{one['median_degrees']:.1f}"}
+        | {"median m": f"{one['median_metres']:.2f}", "failed": str(one["failures"])}
+        for one in summarise(cars)
     ]
+    return TextTable.of(rows)
+
+
+def _sights(cars: list[Car]) -> list[SolvedVehicle]:
+    """Every car with a result, with its photograph and the labelled box."""
+    photographs = {path: read_image(path) for path in {car.frame.image for car in cars}}
+    sights = []
+    for car in cars:
+        if car.found is not None and car.found.result is not None:
+            photograph = photographs[car.frame.image]
+            camera = car.frame.calibration.camera.with_size_of(photograph)
+            truth = Truth(yaw_pose(car.truth.rotation_y, car.truth.location), car.frame.labels.size[car.index])
+            seen = car.found.detection.observation
+            sights.append(SolvedVehicle(car.found.result, seen, camera, photograph, truth, car.name))
+    return sights

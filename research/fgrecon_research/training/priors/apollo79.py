@@ -29,6 +29,9 @@ from fgrecon_research.training.priors.pca import SurfaceSamples, pca_prior
 # once, in the topology: the same cut fits every shape, so linear models of the vertices stay linear.
 
 
+_SEAM_WIDTH = 0.01  # metres; vertices nearer to z = 0 in the mean are moved onto it, which avoids slivers
+
+
 @dataclass(frozen=True)
 class SymmetricMesh:
     """Shapes in one topology that is its own mirror image."""
@@ -38,15 +41,14 @@ class SymmetricMesh:
     mirror: NDArray[np.intp]  # (V,) index of each vertex's mirror image; its own index on the seam
 
 
-def mirrored_half(vertices: Array, faces: NDArray[np.int32], seam_width: float = 0.01) -> SymmetricMesh:
+def mirrored_half(vertices: Array, faces: NDArray[np.int32]) -> SymmetricMesh:
     """Cut shapes (M, V, 3) of one topology (F, 3) along z = 0 of their mean and mirror the left half.
 
     Args:
         vertices: Vertices of each shape, nearly symmetric about z = 0, left is +z, metres.
-        seam_width: Vertices whose mean is closer to z = 0 than this are moved onto it, which avoids slivers.
     """
     height = vertices.mean(axis=0)[:, 2]
-    height = np.where(np.abs(height) < seam_width, 0.0, height)
+    height = np.where(np.abs(height) < _SEAM_WIDTH, 0.0, height)
     cuts: dict[tuple[int, int], int] = {}
     left = [part for face in faces for part in _clip(tuple(int(i) for i in face), height, cuts)]
     extended = np.concatenate([vertices, *(_cut_points(vertices, height, cuts))], axis=1)

@@ -38,6 +38,9 @@ import numpy as np
 from fgrecon.core.arrays import Array
 from fgrecon_research.training.priors.factorisation import SymmetricSubspace
 
+_POSE_SWEEPS, _SEARCH_SWEEPS = 4, 6  # of rotation and scale in a step; of steps from a start of the search
+_NOISE_FLOOR = 1e-8
+
 
 @dataclass(frozen=True)
 class Data:
@@ -155,7 +158,7 @@ def bound(data: Data, model: ShapeModel, cameras: Cameras, posterior: Posterior,
     return np.asarray(total * data.importance)
 
 
-def pose_step(data: Data, model: ShapeModel, cameras: Cameras, posterior: Posterior, sweeps: int = 4) -> Cameras:
+def pose_step(data: Data, model: ShapeModel, cameras: Cameras, posterior: Posterior) -> Cameras:
     """Raise the bound over rotation, scale and translation, the posterior held.
 
     With the translation eliminated, an instance's cost is a^2 P - 2 a tr(R'B) + tr(R C R') - 4 n log a. Given R the
@@ -182,7 +185,7 @@ def pose_step(data: Data, model: ShapeModel, cameras: Cameras, posterior: Poster
     slack = np.linalg.eigvalsh(square)[:, -1, None, None] * np.eye(3) - square
     pairs = data.measured.sum(axis=1) - 0.5 * data.freedom
     rotation, scale = cameras.rotation, cameras.inverse_scale
-    for _ in range(sweeps):
+    for _ in range(_POSE_SWEEPS):
         rotation = orthonormal_rows(scale[:, None, None] * cross + rotation @ slack)
         along = (rotation * cross).sum(axis=(1, 2))
         scale = (along + np.sqrt(along**2 + 8.0 * pairs * power)) / (2.0 * power)
@@ -205,7 +208,7 @@ def orthonormal_rows(matrices: Array) -> Array:
 
 
 def model_step(
-    data: Data, model: ShapeModel, cameras: Cameras, posterior: Posterior, subspace: SymmetricSubspace, floor: float
+    data: Data, model: ShapeModel, cameras: Cameras, posterior: Posterior, subspace: SymmetricSubspace
 ) -> tuple[ShapeModel, Posterior]:
     """Best mean, basis and noise for the cameras and the posterior, all in closed form.
 
@@ -245,7 +248,7 @@ def model_step(
     trial = ShapeModel(mean, basis, model.variance)
     squared = _squared_residuals(data, trial, cameras, q_mean, q_covariance)
     pairs = data.importance @ (data.measured.sum(axis=1) - 0.5 * data.freedom)
-    variance = max(float((weights * squared).sum() / (2.0 * pairs)), floor)
+    variance = max(float((weights * squared).sum() / (2.0 * pairs)), _NOISE_FLOOR)
     return ShapeModel(mean, basis, variance), Posterior(q_mean, q_covariance, posterior.weight, squared)
 
 
@@ -276,7 +279,6 @@ Report = Callable[[int, float], None]
 """Called after each iteration with its number and the bound per seen keypoint (nats)."""
 
 _FIRST_STEP = 4.0
-_NOISE_FLOOR = 1e-8
 
 
 @dataclass(frozen=True)
@@ -350,7 +352,7 @@ def em(
 def _iterate(data: Data, state: EmState, subspace: SymmetricSubspace, dof: float | None) -> EmState:
     """One iteration of EM: cameras, model, posterior."""
     cameras = pose_step(data, state.model, state.cameras, state.posterior)
-    model, posterior = model_step(data, state.model, cameras, state.posterior, subspace, _NOISE_FLOOR)
+    model, posterior = model_step(data, state.model, cameras, state.posterior, subspace)
     return _evaluated(data, model, cameras, dof, posterior.weight)
 
 
@@ -408,15 +410,14 @@ def uniform_rotations(count: int, rng: np.random.Generator) -> Array:
     return np.stack([first, second / np.linalg.norm(second, axis=1, keepdims=True)], axis=1)
 
 
-def search_cameras(
-    data: Data, state: EmState, rotations: Array, dof: float | None, *, sweeps: int = 6, keep: bool = True
-) -> EmState:
+def search_cameras(data: Data, state: EmState, rotations: Array, dof: float | None) -> EmState:
     """Try every given rotation, and each camera's own depth reversal, on every instance; keep what is better.
+
+    No instance's bound falls.
 
     Args:
         rotations: (Q, 2, 3) camera rows to start from.
         dof: Degrees of freedom of the noise, or None for Gaussian noise.
-        keep: Whether the cameras so far compete; then no instance's bound falls.
 
     Returns:
         The same model with the best camera of each instance.
@@ -425,10 +426,8 @@ def search_cameras(
     rotation, scale, translation = (np.array(part) for part in vars(state.cameras).values())
     weight = state.posterior.weight.copy()
     best = bound(data, model, state.cameras, state.posterior, dof)
-    if not keep:
-        best = np.full(len(best), -np.inf)
     for start in _starts(data, state, rotations):
-        cameras, posterior = _fit(data, model, Cameras(start, state.cameras.inverse_scale, translation), dof, sweeps)
+        cameras, posterior = _fit(data, model, Cameras(start, state.cameras.inverse_scale, translation), dof)
         score = bound(data, model, cameras, posterior, dof)
         better = score > best
         rotation[better], scale[better] = cameras.rotation[better], cameras.inverse_scale[better]
@@ -443,7 +442,7 @@ def _starts(data: Data, state: EmState, rotations: Array) -> Iterator[Array]:
         yield np.broadcast_to(rows, (len(data.points), 2, 3))
 
 
-def _fit(data: Data, model: ShapeModel, cameras: Cameras, dof: float | None, sweeps: int) -> tuple[Cameras, Posterior]:
+def _fit(data: Data, model: ShapeModel, cameras: Cameras, dof: float | None) -> tuple[Cameras, Posterior]:
     """Cameras and posterior from a start whose rotation alone means something: first the mean shape, unweighted."""
     count, instances = model.basis.shape[0], len(data.points)
     posterior = Posterior(
@@ -452,7 +451,7 @@ def _fit(data: Data, model: ShapeModel, cameras: Cameras, dof: float | None, swe
         data.measured,
         np.zeros_like(data.measured),
     )
-    for sweep in range(sweeps):
+    for sweep in range(_SEARCH_SWEEPS):
         cameras = pose_step(data, model, cameras, posterior)
         posterior = e_step(data, model, cameras, dof, posterior.weight if dof is not None and sweep > 1 else None)
     return cameras, posterior

@@ -31,13 +31,12 @@ from fgrecon_research.training.priors.em_ppca import (
     EmState,
     ShapeModel,
     em,
-    expected_shapes,
     search_cameras,
     start_state,
     uniform_rotations,
 )
 from fgrecon_research.training.priors.factorisation import SymmetricSubspace, affine_factorisation, metric_upgrade
-from fgrecon_research.training.priors.perspective import draw_nearer, estimate_nearness, without_perspective
+from fgrecon_research.training.priors.perspective import estimate_nearness, without_perspective
 
 # How sure a learnt mean shape is: learnt again from other draws of the vehicles.
 #
@@ -179,17 +178,8 @@ class NrsfmResult:
     converged: bool  # whether the last stage ended by its tolerance
     restart_bounds: tuple[float, ...]  # bound per keypoint at the end of each restart
     nearness: float  # inverse distance of the cameras per unit of the shape; 0 for scaled orthography
-    reversed: bool  # whether the depth of the factorisation had to be reversed to make the object frame right-handed
     # (B, K, 3) means by other draws of the vehicles (`bootstrap`), fitted to the mean; B is 0 where none were made
     drawn: Array
-
-    def predict(self) -> Array:
-        """(M', K, 2) every keypoint of every used image in pixels, unseen ones filled in."""
-        model = ShapeModel(self.mean, self.basis, self.sigma**2)
-        shapes = expected_shapes(model, self.coefficients)
-        rows, scale = self.cameras.rotation.transpose(0, 2, 1), self.cameras.inverse_scale[:, None, None]
-        points: Array = (shapes @ rows + self.cameras.translation[:, None]) / scale
-        return points if self.nearness == 0 else draw_nearer(points, shapes, self.cameras.rotation, self.nearness)
 
 
 def fit_nrsfm(
@@ -475,6 +465,5 @@ def _result(
         converged=learnt.converged,
         restart_bounds=learnt.bounds,
         nearness=learnt.nearness,
-        reversed=bool(np.linalg.det(axes) < 0),
         drawn=subspace.project(drawn @ axes),
     )

@@ -60,25 +60,6 @@ def without_perspective(data: Data, state: EmState, handedness: float, nearness:
     return replace(data, points=moved * data.measured[:, :, None])
 
 
-def draw_nearer(points: Array, shapes: Array, rotation: Array, nearness: float) -> Array:
-    """The reverse for predictions: points (M, K, 2) of scaled orthography as a camera at distance 1 / d sees them.
-
-    Args:
-        points: (M, K, 2) image points of all keypoints under scaled orthography.
-        shapes: (M, K, 3) the shapes, right-handed.
-        rotation: (M, 2, 3) camera rows.
-        nearness: d, per unit of the shapes.
-
-    Returns:
-        (M, K, 2) image points with perspective.
-    """
-    centred = shapes - shapes.mean(axis=1, keepdims=True)
-    depth = (centred @ np.cross(rotation[:, 0], rotation[:, 1])[:, :, None])[:, :, 0]
-    factor = np.maximum(1.0 + nearness * depth, _LEAST_FACTOR)[:, :, None]
-    centre = points.mean(axis=1, keepdims=True)
-    return np.asarray(centre + (points - centre) / factor)
-
-
 def _geometry(state: EmState, handedness: float) -> tuple[Array, Array, Array]:
     """Depth (M, K) and image offset (M, K, 2) of the keypoints from their centre, and the image of that (M, 2)."""
     shapes = expected_shapes(state.model, state.posterior.mean)
