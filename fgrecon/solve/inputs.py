@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from numbers import Real
@@ -383,8 +383,7 @@ def evidence_of(given: Sequence[Evidence], camera: Camera, *, of_all: bool = Fal
         of_all: Whether it is about all vehicles of the image, and not of a single one.
 
     Raises:
-        InvalidInputError: It is no sequence of evidence, points are in another frame or unit, or what can be of one
-            vehicle alone is given for all.
+        InvalidInputError: It is no sequence of evidence, or what can be of one vehicle alone is given for all.
     """
     evidence = as_evidence(given)
     for number, one in enumerate(evidence):
@@ -395,15 +394,34 @@ def evidence_of(given: Sequence[Evidence], camera: Camera, *, of_all: bool = Fal
                 else "Give it with the vehicle, as `Observation(evidence=...)`."
             )
             raise InvalidInputError(f"evidence[{number}]", one, fix)
-        if isinstance(one, Points) and len(one.points):
-            check_points(one.points, camera, f"evidence[{number}]")
-        elif isinstance(one, DepthMap) and camera.image_size not in (None, one.depth.shape[::-1]):
+        if isinstance(one, DepthMap) and camera.image_size not in (None, one.depth.shape[::-1]):
             fix = "Give a depth for each pixel of the image of {} x {}.".format(*camera.image_size)
             raise InvalidInputError(f"evidence[{number}]", f"a depth map of shape {one.depth.shape}", fix)
-        elif isinstance(one, StereoPair):
+        if isinstance(one, StereoPair):
             fix = "Give it to what has the left image, such as `fgrecon.reconstruct_image`; or the depth it makes."
             raise InvalidInputError(f"evidence[{number}]", "a stereo pair without the left image", fix)
     return evidence
+
+
+def check_frames(
+    evidence: Sequence[Evidence], camera: Camera, ground: Ground | None, observations: Iterable[KeypointsLike]
+) -> None:
+    """Refuse points that are in another frame or unit than metres in the frame of a camera.
+
+    Args:
+        ground: That is given, or None.
+        observations: Of the vehicles of its image, which tell by their boxes where points have to be.
+
+    Raises:
+        InvalidInputError: Some are; says the likely cause.
+    """
+    boxes: list[Array] | None = None
+    for number, one in enumerate(evidence):
+        if isinstance(one, Points) and len(one.points):
+            if boxes is None:
+                places = [one.place for one in observations if isinstance(one, Observation)]
+                boxes = [place for place in places if place is not None]
+            check_points(one.points, camera, f"evidence[{number}]", ground, boxes)
 
 
 def as_boxes(boxes: Sequence[Box3D | None], count: int, camera: Camera, prior: ShapePrior) -> list[Box3D | None]:

@@ -25,7 +25,15 @@ from fgrecon.solve.fitted_class import with_fitted_classes
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.image_facing import single_pose
-from fgrecon.solve.inputs import SolveSetup, as_extra_factors, as_initial, calibrated, evidence_of, observe
+from fgrecon.solve.inputs import (
+    SolveSetup,
+    as_extra_factors,
+    as_initial,
+    calibrated,
+    check_frames,
+    evidence_of,
+    observe,
+)
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.result import results
 from fgrecon.solve.road_plane import ground_by_points
@@ -90,9 +98,10 @@ def reconstruct(
     start, factors = as_initial(initial, setup.prior), as_extra_factors(extra_factors)
     given: dict[str, Any] = {"confidence": confidence, "box": box, "covariance": covariance}
     sensed = evidence_of(evidence, camera)
-    if sensed:
-        setup = replace(setup, ground=ground_by_points(sensed, setup.ground, camera, setup.options.disabled_terms))
     observed = observe(keypoints, camera, setup, **given, evidence=sensed)
+    if sensed:
+        check_frames(sensed, camera, setup.ground, [observed.observation])
+        setup = replace(setup, ground=ground_by_points(sensed, setup.ground, camera, setup.options.disabled_terms))
     if observed.warning is not None:
         warn_of(InputWarnings.of({"the vehicle": observed.warning}), stacklevel=3)
 

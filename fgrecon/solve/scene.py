@@ -49,7 +49,7 @@ from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle_part import fleet_prior, is_any_fleets
 from fgrecon.solve.image_ground import ImageGround, observed_ground
 from fgrecon.solve.independent import IndependentSolve, IndependentVehicle, solve_independently
-from fgrecon.solve.inputs import SolveSetup, as_box_errors, as_boxes, as_extra_factors, evidence_of
+from fgrecon.solve.inputs import SolveSetup, as_box_errors, as_boxes, as_extra_factors, check_frames, evidence_of
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.mutual_occlusion import with_occlusion
 from fgrecon.solve.result import Marginalised, marginalise, pose_history, results, weakened
@@ -115,6 +115,7 @@ def reconstruct_scene(
         each = as_boxes(boxes, len(observations), known, setup.prior)
         boxed = [None if box is None else KnownBox(box, errors, unsized) for box in each]
     sensed = evidence_of(evidence, known, of_all=True)
+    check_frames(sensed, known, setup.ground, observations)
     setup = replace(
         setup, evidence=sensed, ground=ground_by_points(sensed, setup.ground, known, setup.options.disabled_terms)
     )

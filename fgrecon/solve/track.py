@@ -45,7 +45,7 @@ from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.graph.records import graph_factors, joint_steps
 from fgrecon.solve.image_facing import single_pose
-from fgrecon.solve.inputs import SolveSetup, as_cameras, as_extra_factors, evidence_of, observe
+from fgrecon.solve.inputs import SolveSetup, as_cameras, as_extra_factors, check_frames, evidence_of, observe
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.result import results
@@ -99,7 +99,7 @@ def reconstruct_track(
     factors = as_extra_factors(extra_factors)
     observations = as_list("observations", observations)
     each = as_cameras(cameras, len(observations))
-    observations = _with_evidence(observations, each, evidence)
+    observations = _with_evidence(observations, each, evidence, setup.ground)
 
     started = perf_counter()
     warnings = InputWarnings()
@@ -151,7 +151,10 @@ def _with_either_class(
 
 
 def _with_evidence(
-    observations: list[Observation | None], cameras: Sequence[Camera], evidence: Sequence[Sequence[Evidence]] | None
+    observations: list[Observation | None],
+    cameras: Sequence[Camera],
+    evidence: Sequence[Sequence[Evidence]] | None,
+    ground: Ground | None,
 ) -> list[Observation | None]:
     if evidence is None:
         return observations
@@ -159,6 +162,8 @@ def _with_evidence(
         value = f"{len(evidence)} for {len(observations)} images"
         raise InvalidInputError("evidence", value, "Give a sequence for each image.")
     sensed = [evidence_of(tuple(some), camera) for some, camera in zip(evidence, cameras, strict=True)]
+    for some, camera, one in zip(sensed, cameras, observations, strict=True):
+        check_frames(some, camera, ground, [] if one is None else [one])
     return [None if o is None else o.with_evidence(some) for o, some in zip(observations, sensed, strict=True)]
 
 

@@ -45,6 +45,7 @@ from fgrecon.solve.inputs import (
     as_ground,
     as_motion_covariance,
     calibrated,
+    check_frames,
     evidence_of,
     observe,
     without_rates_over_ground,
@@ -175,6 +176,7 @@ class Tracker:
         place = None if world_T_camera is None else gtsam.Pose3(as_camera_pose(world_T_camera))
         moved = None if motion_covariance is None else as_motion_covariance(motion_covariance)
         sensed = evidence_of(evidence, used, of_all=True)
+        check_frames(sensed, used, plane, observations.values())
         given, plane = plane, ground_by_points(sensed, plane, used, self._setup.options.disabled_terms)
         with self._one_call:
             cameras = self._cameras_at(time, used, place)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -260,6 +262,22 @@ def test_points_of_another_frame_are_refused() -> None:
         reconstruct(observation, replace(CAMERA, image_size=(1242, 375)), evidence=[Points(lidar)])
     with pytest.raises(InvalidInputError, match="1 for 2 images"):
         reconstruct_track([observation, observation], CAMERA, evidence=[[]])
+
+
+@pytest.mark.parametrize("kind", ["vehicle", "image", "track", "online"])
+def test_the_ground_that_is_given_tells_frame_and_unit(kind: str) -> None:
+    observation, points = scanned(0.4, PLACE)
+    camera = replace(CAMERA, image_size=(1242, 375))
+    how: dict[str, Any] = {"ground": 1.65}
+    calls: dict[str, Callable[[list[Points]], object]] = {
+        "vehicle": lambda given: reconstruct(observation, camera, evidence=given, **how),
+        "image": lambda given: reconstruct_scene([observation], camera, evidence=given, **how),
+        "track": lambda given: reconstruct_track([observation], camera, evidence=[given], **how),
+        "online": lambda given: Tracker().update(0.0, {0: observation}, camera=camera, evidence=given, **how),
+    }
+    for wrong, named in ((points * (1.0, -1.0, 1.0), "y up, z forward"), (points / 0.3048, "feet")):
+        with pytest.raises(InvalidInputError, match=named):
+            calls[kind]([Points(wrong)])
 
 
 @pytest.mark.parametrize("kind", ["vehicle", "image", "track", "online"])
