@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.fuzz.reader import Reader
 from benchmarks.fuzz.stored_readers import STORED
-from fgrecon.io.boxes import read_boxes
+from fgrecon.io.boxes import boxes_in
 from fgrecon.io.cameras import read_camera
 from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon.io.exif import exif_camera
@@ -152,7 +152,7 @@ READERS: Mapping[str, Reader] = {
     "annotations": Reader(lambda path: load_annotations([path], _CAR), _annotations),
     "results": Reader(read_results, _results),
     "boxes": Reader(
-        lambda path: read_boxes(path, "a.png", (100, 50)),
+        lambda path: boxes_in(path, "a.png", (100, 50)),
         lambda: {"b.txt": _LABEL.encode(), "a.txt": b"2 0.5 0.5 0.2 0.3 0.9\n", "c.json": _keypoints()["coco.json"]},
     ),
     "camera": Reader(

@@ -187,7 +187,7 @@ def _curves(scored: Mapping[float, Sequence[VideoBox]]) -> dict[tuple[str, float
     """(F,) share inside each region at each of `FACTORS`; none where not every factor has a vehicle to judge."""
     curves: dict[tuple[str, float], list[float]] = {(name, level): [] for name in _QUANTITIES for level in SIGMAS}
     for factor in FACTORS:
-        for one in box_coverage(scored[factor], SYSTEM):
+        for one in box_coverage(scored[factor]):
             if one.quantity in _QUANTITIES:
                 for level in SIGMAS:
                     curves[one.quantity, level].append(one.inside[level]["claimed"])

@@ -218,7 +218,7 @@ def claimed_regions(found: BoxOutcome, group: str) -> tuple[Region, ...]:
     )
 
 
-def box_coverage(boxes: Sequence[VideoBox], method: str) -> list[Coverage]:
-    """How much of what a method's regions claim they hold; drives are left out of their own baselines."""
-    found = [(box, box.outcomes[method]) for box in boxes]
+def box_coverage(boxes: Sequence[VideoBox]) -> list[Coverage]:
+    """How much of what the system's regions claim they hold; drives are left out of their own baselines."""
+    found = [(box, box.outcomes[SYSTEM]) for box in boxes]
     return coverage([r for box, one in found if one.status is not None for r in claimed_regions(one, box.drive)])

@@ -34,13 +34,13 @@ def calibrate_command(
     tried, or that does not hold on drives left out, is warned of; the file has it under provenance (inside, warnings).
     """
     from fgrecon.calibration.calibrate import calibrate_detector
-    from fgrecon.calibration.labelled_boxes import SYSTEM, box_coverage
+    from fgrecon.calibration.labelled_boxes import box_coverage
     from fgrecon.core.coverage import SIGMAS
     from fgrecon.io.catalogue import save_calibration
     from fgrecon.io.files import check_output
 
     def scored(factor: float, done: ScoredDrives) -> None:
-        for coverage in box_coverage(done.boxes, SYSTEM):
+        for coverage in box_coverage(done.boxes):
             inside = ((level, coverage.inside[level]["claimed"]) for level in SIGMAS)
             shares = ", ".join(f"{100 * share:.0f} in {100 * level:.0f} %" for level, share in inside)
             screen.detail(f"Factor {factor:g}: {coverage.quantity} {shares}.")

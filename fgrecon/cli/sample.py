@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,8 +35,8 @@ def sample_command(
     import numpy as np
 
     from fgrecon.core.size_prior import size_prior
+    from fgrecon.io.arrays import write_arrays
     from fgrecon.io.catalogue import load_prior
-    from fgrecon.io.files import write_bytes
     from fgrecon.io.images import write_png
     from fgrecon.simulation.sample import GROUND, sample_drive, sample_scan, sample_street, sample_track
 
@@ -46,9 +45,8 @@ def sample_command(
     out.mkdir(parents=True, exist_ok=True)
     street, track = sample_street(prior, seed), sample_track(prior, seed=seed)
     screen.wrote(write_png(out / "street.png", street.image))
-    scan = BytesIO()
-    np.savez_compressed(scan, points=sample_scan(street, seed).astype(np.float32))
-    screen.wrote(write_bytes(out / "street.npz", scan.getvalue()))
+    scan = sample_scan(street, seed).astype(np.float32)
+    screen.wrote(write_arrays(out / "street.npz", compressed=True, points=scan))
     screen.write_text(out / "calib.txt", _calibration(_projection(street)))
     screen.write_text(out / "cars.json", _json(_keypoint_file(street, prior.category)))
     screen.write_text(out / "boxes.txt", _boxes(street, "street.png"))

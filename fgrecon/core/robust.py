@@ -123,18 +123,6 @@ class RobustStrategy:
         weights = self.mu0 * evidence.right + (1.0 - self.mu0) * visibility
         return np.where(evidence.measured, weights, 0.0)
 
-    def weights(
-        self,
-        squared_distance: Array,
-        evidence: Evidence,
-        visibility: Array,
-        *,
-        previous: Array | None = None,
-        progress: float = 1.0,
-    ) -> Array:
-        """(..., K) weights in [0, 1]; see `evaluate`."""
-        return self.evaluate(squared_distance, evidence, visibility, previous=previous, progress=progress)[0]
-
     def evaluate(
         self,
         squared_distance: Array,

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import write_bytes
 
 LARGEST = "FGRECON_LARGEST"
 """Environment variable: how many bytes a file may unpack to."""
@@ -89,6 +90,17 @@ def read_arrays(
         value = "pickled content, which could run code" if pickled else f"unreadable: {error}"
         raise InvalidInputError(f"{name}: {field}" if field else name, value, fix) from error
     return arrays
+
+
+def write_arrays(path: Path, *, compressed: bool = False, **arrays: NDArray[Any]) -> Path:
+    """Write arrays as an npz file, whole or not at all; the path.
+
+    Raises:
+        InvalidInputError: As `write_bytes`.
+    """
+    content, save = BytesIO(), np.savez_compressed if compressed else np.savez
+    save(content, allow_pickle=False, **arrays)
+    return write_bytes(path, content.getvalue())
 
 
 def read_lone_array(content: bytes, name: str, fix: str) -> NDArray[Any]:

@@ -111,18 +111,6 @@ def _some(names: Counter[str]) -> str:
     return listed if len(listed) <= 200 else f"{listed[:200]}..."
 
 
-def read_boxes(
-    file: Path,
-    image: str,
-    size: tuple[int, int] | None = None,
-    least_score: float | None = None,
-    *,
-    scale_to_image: bool = False,
-) -> list[NamedBox]:
-    """The cars of an image in a file; see `boxes_in`."""
-    return boxes_in(file, image, size, least_score, scale_to_image=scale_to_image).cars
-
-
 def boxes_in(
     file: Path,
     image: str,

@@ -36,8 +36,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import ClassSizes
 from fgrecon.core.vehicle_class import VehicleClass
-from fgrecon.io.arrays import read_arrays
-from fgrecon.io.files import write_bytes, write_text
+from fgrecon.io.arrays import read_arrays, write_arrays
+from fgrecon.io.files import write_text
 from fgrecon.io.integrity import check_hash
 from fgrecon.io.json_fields import parse_json, read_fields, within
 
@@ -182,9 +182,7 @@ def save_prior(prior: ShapePrior, path: str | Path) -> Path:
         arrays["surface_mean"] = _compact(prior.surface.mean)
         arrays["surface_basis"] = _compact(prior.surface.basis)
         arrays["surface_faces"] = prior.surface.faces
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **arrays)
-    return write_bytes(path, buffer.getvalue())
+    return write_arrays(path, **arrays)
 
 
 def _folder(kind: str) -> Traversable:

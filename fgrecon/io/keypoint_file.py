@@ -46,7 +46,7 @@ from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import class_of_kind
 from fgrecon.io.image_size import scale_between
 from fgrecon.io.images import IMAGES, refuse_unread
-from fgrecon.io.json_fields import Fields, numbers, plain_id, read_json
+from fgrecon.io.json_fields import Fields, numbers, plain_id
 from fgrecon.io.lens_fields import check_unused, read_lens, read_size
 from fgrecon.io.video_frames import VIDEOS
 
@@ -143,20 +143,6 @@ class KeypointFile:
     ignored: tuple[str, ...]
     left_out: tuple[InvalidInputError, ...] = ()
     unknown: tuple[InvalidInputError, ...] = ()
-
-
-def read_keypoints(path: Path, category: Category) -> KeypointFile:
-    """Read a keypoint file.
-
-    Args:
-        path: JSON file.
-        category: The category whose keypoints it holds.
-
-    Raises:
-        InvalidInputError: The file cannot be read, is not JSON, or a field is missing or of the wrong kind; names file,
-            instance and field.
-    """
-    return parse_keypoints(read_json(path), category, where=f"{path}: ")
 
 
 def parse_keypoints(data: Any, category: Category, where: str = "") -> KeypointFile:

@@ -29,7 +29,6 @@ from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find
 from fgrecon.perception.stereo import with_depths
 from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.pipeline import reconstruct
-from fgrecon.solve.proposals.terms import direction_penalty as penalty_of
 from fgrecon.solve.scene import reconstruct_scene
 
 if TYPE_CHECKING:
@@ -64,11 +63,6 @@ class FromImage:
         (x, y, z), yaw = self.result.location, np.degrees(self.result.rotation_y)
         pose = f"({x:.2f}, {y:.2f}, {z:.2f}) m, yaw {yaw:.1f} degrees"
         return f"{type(self).__name__}({where}{self.result.status.value} at {pose})"
-
-
-def direction_penalty(detection: Detection, camera_T_object: ArrayLike) -> float:
-    """What a pose (4, 4) costs by the detector's directions, nats: 0 for the most probable one, and without any."""
-    return penalty_of(detection.azimuth, camera_T_object)
 
 
 def reconstruct_detection(

@@ -21,19 +21,13 @@ from fgrecon.video.follow import DEFAULT_KIND, TrackedFrame
 _ARRAYS = frozenset(["pose_covariance", "world_T_object"])  # of a row; None where they are not known
 
 
-def rows_of(frames: Iterable[TrackedFrame], *, flat: bool = True) -> list[dict[str, Any]]:
-    """A row for each vehicle in each frame, in the order of frames and ids.
-
-    Args:
-        frames: The frames.
-        flat: Numbers and texts alone; else arrays as lists beside them, as in `Reconstruction.to_row`.
-    """
-    rows = [
+def rows_of(frames: Iterable[TrackedFrame]) -> list[dict[str, Any]]:
+    """A row for each vehicle in each frame, in the order of frames and ids; arrays are lists, as in `to_row`."""
+    return [
         {"frame": frame.number, "time": frame.time, **_row(frame, identity)}
         for frame in frames
         for identity in sorted(frame.estimates)
     ]
-    return flattened(rows) if flat else rows
 
 
 def flattened(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -522,7 +522,7 @@ def write_tracks(job: VideoJob, run: VideoRun) -> None:
             tracks(tracking_text([frame], job.label_offset))
             lines("".join(frame_lines([frame], ground)))
             if tables:
-                rows = rows_of([frame], flat=False)
+                rows = rows_of([frame])
                 for add, some in zip(tables, (flattened(rows), rows), strict=True):
                     add(some)
     if not run.estimates:  # no columns without a row, and a table of the run before would be taken for this one's

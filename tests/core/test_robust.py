@@ -95,9 +95,11 @@ def test_equations_4_and_5_by_hand(name, expected):
     robust = strategy(name)
     initial = robust.initial_weights(evidence(RIGHT), VISIBLE)
     np.testing.assert_allclose(initial, [0.95, 0.5, 0.05])
-    np.testing.assert_allclose(robust.weights(D2, evidence(RIGHT), VISIBLE, previous=initial), expected)
-    np.testing.assert_allclose(robust.weights(D2, evidence(RIGHT), VISIBLE), expected)  # from Eq. 4 without a previous
-    again = robust.weights(D2, evidence(RIGHT), VISIBLE, previous=np.array(expected))
+    np.testing.assert_allclose(robust.evaluate(D2, evidence(RIGHT), VISIBLE, previous=initial)[0], expected)
+    np.testing.assert_allclose(
+        robust.evaluate(D2, evidence(RIGHT), VISIBLE)[0], expected
+    )  # from Eq. 4 without a previous
+    again = robust.evaluate(D2, evidence(RIGHT), VISIBLE, previous=np.array(expected))[0]
     np.testing.assert_allclose(again - expected, 0.5 * (np.array(expected) - initial), atol=1e-15)  # mu1 = 0.5
 
 
@@ -106,7 +108,7 @@ def test_the_readings_of_the_paper_differ_where_it_matters():
     d2, even = np.array([0.0, 0.0, 0.0, 25.0]), np.full(4, 0.8)  # three points fit, one is wrong
     for name, favoured in (("paper", 0), ("paper_literal", 3)):
         robust = strategy(name)
-        after = robust.weights(d2, evidence(even), even, previous=robust.initial_weights(evidence(even), even))
+        after = robust.evaluate(d2, evidence(even), even, previous=robust.initial_weights(evidence(even), even))[0]
         assert after[favoured] > after[3 - favoured] + 0.3
 
 
@@ -147,9 +149,9 @@ def test_weights_fall_with_the_distance(name, progress):
 def test_gnc_starts_convex_and_ends_at_geman_mcclure():
     d2, seen, visible = np.linspace(0, 30, 31), evidence(np.full(31, 0.8)), np.full(31, 0.8)
     gnc, geman = strategy("gnc"), strategy("geman_mcclure")
-    trail = [gnc.weights(d2, seen, visible, progress=p) for p in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    trail = [gnc.evaluate(d2, seen, visible, progress=p)[0] for p in (0.0, 0.25, 0.5, 0.75, 1.0)]
     assert all((later <= earlier).all() for earlier, later in pairwise(trail))
-    np.testing.assert_allclose(trail[-1], geman.weights(d2, seen, visible))
+    np.testing.assert_allclose(trail[-1], geman.evaluate(d2, seen, visible)[0])
     # At the start, with control 64 and k = 2, the loss is convex up to d = 16 / sqrt(3): all count about alike.
     assert trail[0].min() > 0.75 * trail[0].max()
 

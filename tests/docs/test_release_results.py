@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 import fgrecon
 from fgrecon.cli import main
 from fgrecon.io.export import read_results
-from fgrecon.io.keypoint_file import read_keypoints
+from fgrecon.io.json_fields import read_json
+from fgrecon.io.keypoint_file import parse_keypoints
 from tests.conftest import REPOSITORY
 
 
@@ -44,7 +45,7 @@ def test_the_estimates_are_those_of_the_options_without_boxes_or_paths(made, tmp
     assert document["file"] == "street"
     assert not any(str(folder) in text for folder in (made, REPOSITORY, tmp_path.parent))
     assert CliRunner().invoke(main.app, ["sample", "--out", str(tmp_path / "sample")]).exit_code == 0
-    given = read_keypoints(tmp_path / "sample/cars.json", fgrecon.load_category("car14")).instances
+    given = parse_keypoints(read_json(tmp_path / "sample/cars.json"), fgrecon.load_category("car14")).instances
     for vehicle, car in zip(read_results(made / "sample/street.json"), given, strict=True):
         alone = fgrecon.reconstruct(car.observation, car.camera, ground=1.65, size_prior="kitti")
         np.testing.assert_allclose(vehicle.result.camera_T_object, alone.camera_T_object, atol=1e-6)

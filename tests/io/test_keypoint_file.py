@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
-from fgrecon.io.keypoint_file import parse_keypoints, read_keypoints
+from fgrecon.io.json_fields import read_json
+from fgrecon.io.keypoint_file import parse_keypoints
 
 CATEGORY = load_category("car14")
 K = [[700.0, 0.0, 600.0], [0.0, 710.0, 180.0], [0.0, 0.0, 1.0]]
@@ -123,10 +124,10 @@ def test_a_malformed_instance_names_file_instance_and_field(tmp_path, record, fi
     file = tmp_path / "cars.json"
     file.write_text(json.dumps(record))
     with pytest.raises(InvalidInputError) as error:
-        read_keypoints(file, CATEGORY)
+        parse_keypoints(read_json(file), CATEGORY, where=f"{file}: ")
     assert error.value.field == f"{file}: {field}"
     file.write_text(json.dumps([{"keypoints": POINTS}, record]))
-    found = read_keypoints(file, CATEGORY)
+    found = parse_keypoints(read_json(file), CATEGORY, where=f"{file}: ")
     assert [one.name for one in found.instances] == ["0"], "the others are not lost with it"
     assert [one.field for one in found.left_out] == [f"{file}: instance 1: {field}"]
 
@@ -160,7 +161,7 @@ def test_what_is_not_json_is_refused(tmp_path, content):
     file = tmp_path / "cars.json"
     file.write_bytes(content)
     with pytest.raises(InvalidInputError, match=r"cars\.json.*Give a JSON file"):
-        read_keypoints(file, CATEGORY)
+        parse_keypoints(read_json(file), CATEGORY, where=f"{file}: ")
 
 
 SCALARS = st.none() | st.booleans() | st.integers(-3, 10**400) | st.floats() | st.text(max_size=3)

@@ -16,7 +16,6 @@ from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior
 from fgrecon.perception.from_image import (
-    direction_penalty,
     reconstruct_detection,
     reconstruct_detections,
     reconstruct_image,
@@ -24,6 +23,7 @@ from fgrecon.perception.from_image import (
 from fgrecon.perception.keypoints.crops import crop_of
 from fgrecon.perception.keypoints.detect import CascadeDetection
 from fgrecon.perception.vehicles import Vehicles
+from fgrecon.solve.proposals.terms import direction_penalty
 from fgrecon.solve.track import reconstruct_track
 
 CAMERA = Camera.of([700.0, 700.0, 600.0, 180.0])
@@ -60,10 +60,10 @@ def detection(pose, confidence, azimuth):
 def test_the_penalty_is_least_at_the_direction_seen(turn):
     pose = pose_at(turn)
     found = detection(pose, np.full(14, 0.5), azimuth_of(pose))
-    assert direction_penalty(found, pose) < 0.3
-    assert direction_penalty(found, pose_at(turn + np.pi)) > 4.0
+    assert direction_penalty(found.azimuth, pose) < 0.3
+    assert direction_penalty(found.azimuth, pose_at(turn + np.pi)) > 4.0
     unsure = replace(found, azimuth=np.full(36, 1 / 36))
-    assert direction_penalty(unsure, pose_at(turn + 2.0)) == pytest.approx(0.0)
+    assert direction_penalty(unsure.azimuth, pose_at(turn + 2.0)) == pytest.approx(0.0)
 
 
 def test_clear_keypoints_give_the_pose_whatever_the_direction():
@@ -93,7 +93,7 @@ def test_the_direction_decides_between_poses_that_explain_the_keypoints_alike(tu
         assert orientation_error([result.rotation_y], [rotation_y(pose)])[0] < 30.0
         assert result.diagnostics.energies["direction"] < 0.7
         assert result.diagnostics.energies["direction"] == pytest.approx(
-            direction_penalty(directed, result.camera_T_object)
+            direction_penalty(directed.azimuth, result.camera_T_object)
         )
     off = replace(FAST, disabled_terms=[*FAST.disabled_terms, "direction"])
     ends = [

@@ -16,9 +16,9 @@ from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import write_png
 from fgrecon.perception import KeypointDetector, VehicleDetector, Vehicles, reconstruct_image
-from fgrecon.perception.from_image import direction_penalty
 from fgrecon.perception.keypoints import CascadeDetection, KeypointCascade
 from fgrecon.perception.vehicles import NanodetVehicleDetector
+from fgrecon.solve.proposals.terms import direction_penalty
 from tests.cars import CAMERA, observe, yaw_pose
 
 FAST = Options(keep_history=False, box="off")
@@ -193,9 +193,9 @@ def test_directions_and_visibilities_are_probabilities(seen, known, message):
 
 
 def test_a_detector_without_directions_prefers_none(seen):
-    assert direction_penalty(Detection(seen), POSE) == 0.0
+    assert direction_penalty(Detection(seen).azimuth, POSE) == 0.0
     towards = np.full(8, 0.125)
-    assert direction_penalty(Detection(seen, towards), POSE) == pytest.approx(0.0)
+    assert direction_penalty(Detection(seen, towards).azimuth, POSE) == pytest.approx(0.0)
 
 
 def test_the_detectors_of_the_package_fit_their_protocols():

@@ -37,7 +37,7 @@ def frames():
 def fields_of(frames):
     return (
         [*frame_lines(frames)],
-        rows_of(frames, flat=False),
+        rows_of(frames),
         [one.reconstruction.to_dict() for f in frames for one in f.estimates.values()],
     )
 

@@ -105,7 +105,7 @@ def test_a_stopped_run_goes_on(drive, tmp_path, monkeypatch, most, moving, ahead
     assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("fgrecon")]
     rest, look = run(drive, tmp_path / "out", moving=moving)
     assert (rest.stopped, rest.before, look.looked) == (False, most, 8 - most)
-    assert rows_of(rest.frames, flat=False) == rows_of(whole.frames, flat=False)
+    assert rows_of(rest.frames) == rows_of(whole.frames)
     again, look = run(drive, tmp_path / "out", moving=moving, online=True)
     assert (again.before, look.looked, again.smoothed) == (8, 0, False)
 
@@ -122,7 +122,7 @@ def test_damaged_records_are_made_again(drive, tmp_path, monkeypatch, damaged, f
         again, look = run(drive, tmp_path / "out", moving=True)
     before = 2 * damaged if folder == "records" else 8
     assert (again.before, look.looked) == (before, 8 - before)
-    assert rows_of(again.frames, flat=False) == rows_of(whole.frames, flat=False)
+    assert rows_of(again.frames) == rows_of(whole.frames)
     assert run(drive, tmp_path / "out", moving=True)[0].before == 8
 
 
@@ -172,7 +172,7 @@ def test_another_ground_needs_no_network(drive, tmp_path):
     again, look = run(drive, tmp_path / "out", moving=True, ground=higher)
     assert (again.before, look.looked) == (5, 3)
     fresh, _ = run(drive, tmp_path / "fresh", moving=True, ground=higher)
-    assert rows_of(again.frames, flat=False) == rows_of(fresh.frames, flat=False)
+    assert rows_of(again.frames) == rows_of(fresh.frames)
     assert run(drive, tmp_path / "out")[1].looked == 0
     assert run(drive, tmp_path / "out", moving=True, ground=higher)[1].looked == 0
 
@@ -192,7 +192,7 @@ def test_smoothed_estimates_are_the_same_whether_others_were_made_before(drive, 
             estimated=estimated,
         )
         assert bool(sum(between)) is estimated
-        found[estimated] = rows_of(done.frames, flat=False)
+        found[estimated] = rows_of(done.frames)
     assert found[True] == found[False]
     assert len(found[True]) > 10
 
@@ -323,7 +323,7 @@ def test_kittis_frames_from_pixels(data, tmp_path):
     assert go(tmp_path / "out", 2).stopped
     rest = go(tmp_path / "out", 99)
     assert rest.before == 2
-    assert rows_of(rest.frames, flat=False) == rows_of(whole.frames, flat=False)
+    assert rows_of(rest.frames) == rows_of(whole.frames)
 
 
 def test_what_was_looked_at_before_is_in_good_english():
@@ -362,7 +362,7 @@ def test_a_live_run_leaves_out_what_it_is_too_slow_for(drive, tmp_path):
     assert f"{rest.left_out} left out for newer ones" in rest.summary
     assert "ms, of 95 % up to" in rest.summary
     assert (again.before, again.left_out, again.delay_quantiles) == (8, rest.left_out, None)
-    assert rows_of(again.frames, flat=False) == rows_of(rest.frames, flat=False)
+    assert rows_of(again.frames) == rows_of(rest.frames)
     assert "000009.png" in rest.gaps or rest.frames[5].problem.endswith(LEFT_OUT)
 
 
@@ -382,6 +382,6 @@ def test_a_live_run_that_leaves_nothing_out_is_as_any_other(drive, tmp_path, mon
     found, _ = run(drive, tmp_path / "live", moving=True, online=LiveFrames(60.0))
     whole, _ = run(drive, tmp_path / "whole", moving=True, online=True)
     assert found.left_out == 0
-    assert rows_of(found.frames, flat=False) == rows_of(whole.frames, flat=False)
+    assert rows_of(found.frames) == rows_of(whole.frames)
     assert found.way == whole.way
     assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("fgrecon")]

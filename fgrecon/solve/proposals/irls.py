@@ -58,7 +58,7 @@ def algorithm1(problem: Problem, *, every_solve_global: bool = False) -> Algorit
     for update in range(updates):
         visibility = energy.visibility(pose[None])[0]
         squared = _squared_distances(energy, pose)
-        weights = term.strategy.weights(squared, term.evidence, visibility, previous=weights)
+        weights, _ = term.strategy.evaluate(squared, term.evidence, visibility, previous=weights)
         if every_solve_global or update == updates - 1:
             solutions = aspnp(points, rays, weights[used])
             pose = solutions[0].camera_T_object

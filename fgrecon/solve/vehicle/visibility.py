@@ -87,17 +87,6 @@ def clearance(
     return (1.0 - nearest / depth) * np.sqrt((rays * rays).sum(axis=1))
 
 
-def cast(
-    surface_vertices: NDArray[np.float64],
-    faces: NDArray[np.integer],
-    keypoints: NDArray[np.float64],
-    camera_centre: NDArray[np.float64],
-    tolerance: float = TOLERANCE,
-) -> NDArray[np.bool_]:
-    """(K,) whether each keypoint is visible: its `clearance` is at most the tolerance in metres."""
-    return clearance(surface_vertices, faces, keypoints, camera_centre) <= tolerance
-
-
 def probability(clearance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Probability in [0, 1] that a keypoint of the given clearance in metres is visible (any shape)."""
     return 1.0 / (1.0 + np.exp(np.minimum((clearance - _MIDDLE) / _SOFTNESS, 500.0)))

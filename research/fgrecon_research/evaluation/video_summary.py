@@ -103,6 +103,15 @@ _UNITS = {
 }
 
 
+_MEASURES = {
+    "median_metres": median_interval,
+    "mean_metres": mean_interval,
+    "mean_absolute_size_error": mean_interval,
+    "mean_absolute_length_error": mean_interval,
+    "median_velocity": median_interval,
+}
+
+
 @dataclass(frozen=True)
 class PoseSummary:
     """One method on a group of boxes; `_UNITS` says what the numbers are. NaN, or None, where nothing is known."""
@@ -115,18 +124,13 @@ class PoseSummary:
     without_estimate: Interval
     silent: Interval | None
     network_heading_flips: Interval | None
-    median_metres: float
-    mean_metres: float
     mean_size_error: tuple[float, float, float] | None
     refused: int  # number of boxes without a pose
-    mean_absolute_size_error: float | None
     jitter_degrees: float | None
     jitter_metres: float | None
-    median_velocity: float | None
     overlapping: Interval | None
-    mean_absolute_length_error: float | None
     consistency: Mapping[str, Consistency]  # of what has covariances, by its name (`DIMENSIONS`)
-    intervals: Mapping[str, Interval]  # of position, size and velocity, where they are known, by the names above
+    intervals: Mapping[str, Interval]  # of position, size and velocity (`_MEASURES`), where they are known
 
 
 Summaries = Mapping[str, Mapping[str, Mapping[str, PoseSummary]]]
@@ -198,16 +202,11 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> PoseSummary:
     velocities = np.array([np.nan if one.velocity is None else one.velocity for one in found])
     intervals = {
         name: interval(errors[known], tracks[known])
-        for name, errors, interval in (
-            ("median_metres", metres, median_interval),
-            ("mean_metres", metres, mean_interval),
-            ("mean_absolute_size_error", absolute, mean_interval),
-            ("mean_absolute_length_error", lengths, mean_interval),
-            ("median_velocity", velocities, median_interval),
+        for (name, interval), errors in zip(
+            _MEASURES.items(), (metres, metres, absolute, lengths, velocities), strict=True
         )
         if (known := np.isfinite(errors)).any()
     }
-    values = {name: one.value for name, one in intervals.items()}
     return PoseSummary(
         boxes=len(boxes),
         tracks=len(numbers),
@@ -217,15 +216,10 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> PoseSummary:
         without_estimate=share([one.failure is not None for one in found]),
         silent=share(silent) if method == SYSTEM else None,
         network_heading_flips=share([value <= 0.5 for value in facing]) if len(facing) == len(boxes) else None,
-        median_metres=values.get("median_metres", np.nan),
-        mean_metres=values.get("mean_metres", np.nan),
         mean_size_error=(length, width, height) if sizes else None,
         refused=sum(one.failure is not None for one in found),
-        mean_absolute_size_error=values.get("mean_absolute_size_error"),
-        mean_absolute_length_error=values.get("mean_absolute_length_error"),
         overlapping=share([(value or 0.0) >= _OVERLAPPING for value in overlaps]) if known_overlaps else None,
         **_jitter(boxes, method),
-        median_velocity=values.get("median_velocity"),
         consistency=_consistency(boxes, method),
         intervals=intervals,
     )
@@ -349,7 +343,8 @@ def _plain(summary: PoseSummary) -> dict[str, Any]:
             return {str(name): plain(one) for name, one in value.items()}
         return asdict(value) if isinstance(value, Consistency) else finite(value)
 
-    return {entry.name: plain(getattr(summary, entry.name)) for entry in fields(summary)}
+    values = {name: summary.intervals[name].value if name in summary.intervals else None for name in _MEASURES}
+    return {entry.name: plain(getattr(summary, entry.name)) for entry in fields(summary)} | values
 
 
 _FIRST = "regime"

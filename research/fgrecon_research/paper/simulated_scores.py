@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -17,8 +16,7 @@ from fgrecon.core.metrics import hausdorff_distance, orientation_error, translat
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.robust import StrategyName
-from fgrecon.io.arrays import read_arrays
-from fgrecon.io.files import write_bytes
+from fgrecon.io.arrays import read_arrays, write_arrays
 from fgrecon.io.integrity import MADE_AGAIN
 from fgrecon.solve.vehicle.conditioning import of_fleet
 from fgrecon.solve.vehicle.model import prepare
@@ -77,9 +75,7 @@ class Scores:
 
     def write(self, path: Path) -> None:
         """Write an npz file, whole or not at all."""
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, allow_pickle=False, **{f.name: getattr(self, f.name) for f in fields(self)})
-        write_bytes(path, buffer.getvalue())
+        write_arrays(path, compressed=True, **vars(self))
 
     @classmethod
     def read(cls, path: Path) -> Scores:

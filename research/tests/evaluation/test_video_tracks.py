@@ -68,7 +68,9 @@ def test_several_images_and_how_much_errors_change(folder, setup, scene):  # noq
     offs = [box.outcomes[ONLINE].off for box in first[:3]]  # the last comes too late to count
     assert online.jitter_metres == pytest.approx(np.linalg.norm(np.diff(offs, axis=0)[:, 1:], axis=1).mean())
     assert online.jitter_degrees == pytest.approx(np.abs(np.diff(offs, axis=0)[:, 0]).mean())
-    assert alone.mean_absolute_size_error == pytest.approx(np.abs(first[0].outcomes[SYSTEM].size).mean())
+    assert alone.intervals["mean_absolute_size_error"].value == pytest.approx(
+        np.abs(first[0].outcomes[SYSTEM].size).mean()
+    )
     made = document(boxes, summarise_groups(boxes), {}, [])
     tracked = [ALONE, VOTE, VOTE_BATCH, SIGN_BELIEF, ONLINE, BATCH, ONLINE_MOVING, BATCH_MOVING]
     assert list(made["methods"]) == [SYSTEM, *tracked]
@@ -110,7 +112,7 @@ def test_labels_make_velocities(folder, setup, scene):  # noqa: F811
     assert [error is None for error in errors] == [True, False, False, False, False, True]
     assert errors[2] == pytest.approx(5.0, abs=0.3)
     assert boxes[2].outcomes[BATCH].squared["velocity"] > 0.0
-    assert summarise_boxes(boxes, BATCH).median_velocity == pytest.approx(5.0, abs=0.3)
+    assert summarise_boxes(boxes, BATCH).intervals["median_velocity"].value == pytest.approx(5.0, abs=0.3)
 
 
 def test_velocities_with_the_cameras_motion_are_as_far_off_as_those_relative_to_it(

@@ -173,7 +173,7 @@ def weights_at(problem, pose, coefficients, *, previous=None, progress=1.0):
             away = pixels[k] - observation.keypoints[k]
             squared[k] = away @ np.linalg.solve(covariance, away)
     visibility = problem.model.visibility.lookup(pose)
-    weights = term.strategy.weights(squared, term.evidence, visibility, previous=previous, progress=progress)
+    weights, _ = term.strategy.evaluate(squared, term.evidence, visibility, previous=previous, progress=progress)
     box = problem.energy.box
     if box is None:
         return weights, np.ones(4), visibility

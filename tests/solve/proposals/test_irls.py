@@ -75,7 +75,7 @@ def test_every_update_is_equation_5_at_the_pose_before(prior, name):
     for pose, before, after in zip(result.poses[:-1], result.weights[:-1], result.weights[1:], strict=True):
         squared = np.square(project(prior.mean, pose) - observation.keypoints).sum(axis=1) / sigma2
         visibility = problem.model.visibility.lookup(pose)
-        np.testing.assert_allclose(after, robust.weights(squared, evidence, visibility, previous=before), atol=1e-9)
+        np.testing.assert_allclose(after, robust.evaluate(squared, evidence, visibility, previous=before)[0], atol=1e-9)
 
 
 @pytest.mark.parametrize("updates", [0, 1, 5])

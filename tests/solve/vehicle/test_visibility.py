@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.vehicle.visibility import TOLERANCE, VisibilityTable, cast, clearance, occluder, probability
+from fgrecon.solve.vehicle.visibility import TOLERANCE, VisibilityTable, clearance, occluder, probability
 
 PRIOR = load_prior("car14")
 MIRROR = np.array([1.0, 1.0, -1.0])
@@ -97,10 +97,10 @@ def test_the_shipped_surface_is_closed_and_outward():
 def test_visible_points_stay_visible_at_a_larger_tolerance(direction, small, more):
     centre = centre_of(*direction)
     surface, faces, points = PRIOR.surface.mean, PRIOR.surface.faces, PRIOR.mean
-    tight = cast(surface, faces, points, centre, small)
-    loose = cast(surface, faces, points, centre, small + more)
+    tight = clearance(surface, faces, points, centre) <= small
+    loose = clearance(surface, faces, points, centre) <= small + more
     assert (loose | ~tight).all()
-    assert cast(surface, faces, points, centre, 10.0).all()
+    assert (clearance(surface, faces, points, centre) <= 10.0).all()
 
 
 @settings(deadline=None, max_examples=40, derandomize=True)
@@ -157,7 +157,7 @@ def test_lookup_takes_one_pose_or_many_rotated_anyhow(table):
 
 def test_far_side_is_hidden_and_near_side_visible():
     names = PRIOR.category.keypoints
-    seen = cast(PRIOR.surface.mean, PRIOR.surface.faces, PRIOR.mean, centre_of(np.pi / 2, 0.05, 15.0))
+    seen = clearance(PRIOR.surface.mean, PRIOR.surface.faces, PRIOR.mean, centre_of(np.pi / 2, 0.05, 15.0)) <= TOLERANCE
     for name, visible in zip(names, seen, strict=True):
         if "wheel" in name:
             assert visible == name.startswith("left")
@@ -175,7 +175,7 @@ def test_without_a_surface_a_hull_hides():
     table = VisibilityTable.build(bare)
     centres = [centre_of(a, 0.1, 15.0) for a in np.arange(0, 2 * np.pi, 0.2)]
     coarse = table.lookup(np.array([camera_at(c) for c in centres])) > 0.5
-    fine = np.array([cast(PRIOR.surface.mean, PRIOR.surface.faces, PRIOR.mean, c) for c in centres])
+    fine = np.array([clearance(PRIOR.surface.mean, PRIOR.surface.faces, PRIOR.mean, c) <= TOLERANCE for c in centres])
     assert (coarse == fine).mean() > 0.8
 
 
@@ -200,7 +200,7 @@ def test_marks_made_by_people(data, table):
         # Lengths are relative (a car is 0.9 long) and the origin is the centre of the car's box.
         centre = -rotation.T @ translation * 5.0 + [0.0, -0.8, 0.0]
         marked.append(label["visible"])
-        exact.append(cast(PRIOR.surface.mean, PRIOR.surface.faces, PRIOR.mean, centre, TOLERANCE))
+        exact.append(clearance(PRIOR.surface.mean, PRIOR.surface.faces, PRIOR.mean, centre) <= TOLERANCE)
         soft.append(table.lookup(camera_at(centre)))
     marked, exact, soft = np.array(marked), np.array(exact), np.array(soft)
     assert (exact & marked).sum() / exact.sum() > 0.94

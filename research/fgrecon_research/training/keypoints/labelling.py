@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,9 +14,8 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.io.arrays import read_arrays
+from fgrecon.io.arrays import read_arrays, write_arrays
 from fgrecon.io.catalogue import load_category
-from fgrecon.io.files import write_bytes
 from fgrecon.io.integrity import MADE_AGAIN, stored
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon_research.training.keypoints.dataset import LAST, Photographs, check_prepared, prepare_photographs
@@ -79,9 +77,8 @@ class Labelling:
     def save(self, path: Path) -> None:
         """Write to an npz file, whole or not at all."""
         names = sorted(self.fits)
-        content = io.BytesIO()
-        np.savez(
-            content,
+        write_arrays(
+            path,
             keypoints=self.labels.keypoints,
             visible=self.labels.visible,
             trusted=self.trusted,
@@ -93,7 +90,6 @@ class Labelling:
             coefficients=np.array([self.fits[name].coefficients for name in names]),
             offsets=np.array([self.fits[name].offsets for name in names]),
         )
-        write_bytes(path, content.getvalue())
 
     @classmethod
     def load(cls, path: Path, cars: Sequence[PosedCar]) -> Labelling:

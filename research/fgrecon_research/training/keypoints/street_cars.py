@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +13,8 @@ from numpy.typing import NDArray
 from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import wrap_angle
-from fgrecon.io.arrays import read_arrays
+from fgrecon.io.arrays import read_arrays, write_arrays
 from fgrecon.io.coco_keypoints import read_coco_keypoints
-from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
 from fgrecon.io.integrity import MADE_AGAIN
 from fgrecon.perception.keypoints.crops import Crop, extract
@@ -178,9 +176,8 @@ def prepare_street_cars(file: Path, folder: Path, progress: Progress = no_progre
         keypoints.append(crop.from_image(car.keypoints) if known else np.full(car.keypoints.shape, np.nan))
     images.flush()
     masks.flush()
-    table = io.BytesIO()
-    np.savez(
-        table,
+    write_arrays(
+        folder / LAST,
         boxes=np.array(boxes),
         keypoints=np.array(keypoints),
         visible=np.array([car.probability for car in cars]),
@@ -189,7 +186,6 @@ def prepare_street_cars(file: Path, folder: Path, progress: Progress = no_progre
         tracks=np.array([car.track for car in cars]),
         kinds=np.array([car.kind for car in cars]),
     )
-    write_bytes(folder / LAST, table.getvalue())
 
 
 def _filled(polygons: Sequence[Array]) -> NDArray[np.uint8]:
