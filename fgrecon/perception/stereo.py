@@ -59,13 +59,12 @@ def with_depths(evidence: Sequence[Evidence], image: NDArray[Any], camera: Camer
     return tuple(stereo_depth(image, camera, one) if isinstance(one, StereoPair) else one for one in given)
 
 
-def stereo_depth(left: NDArray[Any], camera: Camera, pair: StereoPair, settings: StereoSettings = SETTINGS) -> DepthMap:
+def stereo_depth(left: NDArray[Any], camera: Camera, pair: StereoPair) -> DepthMap:
     """The depth of each pixel of a left image, NaN where no match is sure, and the error that all of them share.
 
     Args:
         left: (H, W, 3) RGB, or grey; 8 or 16 bits.
         pair: The right image and its camera.
-        settings: How they are matched.
 
     Raises:
         InvalidInputError: The images differ in size or not at all, or a lens is a fisheye.
@@ -82,12 +81,12 @@ def stereo_depth(left: NDArray[Any], camera: Camera, pair: StereoPair, settings:
     if _is_rectified(camera, right, motion):
         focal, shift = camera.matrix[0, 0], right.matrix[0, 2] - camera.matrix[0, 2]
         product = -float(motion[0, 3]) * focal
-        disparity = _disparity(*images, product, settings) + shift
+        disparity = _disparity(*images, product) + shift
         depth = product / np.where(disparity > 0.0, disparity, np.nan)
     else:
-        depth, product = _unrectified(images, camera, pair, settings)
-    sigma = settings.disparity_sigma_px * depth**2 / product
-    return DepthMap(depth, sigma, relative_sigma=0.0, shared_sigma=settings.offset_sigma_px / product)
+        depth, product = _unrectified(images, camera, pair)
+    sigma = SETTINGS.disparity_sigma_px * depth**2 / product
+    return DepthMap(depth, sigma, relative_sigma=0.0, shared_sigma=SETTINGS.offset_sigma_px / product)
 
 
 def _is_rectified(camera: Camera, right: Camera, motion: Array) -> bool:
@@ -101,31 +100,30 @@ def _is_rectified(camera: Camera, right: Camera, motion: Array) -> bool:
     )
 
 
-def _disparity(left: Image, right: Image, product: float, settings: StereoSettings) -> Array:
+def _disparity(left: Image, right: Image, product: float) -> Array:
     """(H, W) disparities of a rectified pair, NaN where no match is sure.
 
     Args:
         left: (H, W, 3) RGB.
         right: (H, W, 3) RGB.
         product: Focal length times baseline, pixels times metres.
-        settings: How they are matched.
     """
     import cv2  # on use: importing fgrecon must not import OpenCV
 
     grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right)]
     width = left.shape[1]
-    largest = int(min(product / settings.nearest_m, width / 2.0) // _STEPS + 1) * int(_STEPS)
-    area = settings.block_px**2
+    largest = int(min(product / SETTINGS.nearest_m, width / 2.0) // _STEPS + 1) * int(_STEPS)
+    area = SETTINGS.block_px**2
     matcher = cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=largest,
-        blockSize=settings.block_px,
+        blockSize=SETTINGS.block_px,
         P1=8 * area,
         P2=32 * area,
-        disp12MaxDiff=settings.both_ways_px,
-        uniquenessRatio=settings.least_uniqueness_percent,
-        speckleWindowSize=settings.speckle_px,
-        speckleRange=settings.speckle_range,
+        disp12MaxDiff=SETTINGS.both_ways_px,
+        uniquenessRatio=SETTINGS.least_uniqueness_percent,
+        speckleWindowSize=SETTINGS.speckle_px,
+        speckleRange=SETTINGS.speckle_range,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
     # Columns that the right image does not show are added at the left edge: OpenCV matches none so near to it.
@@ -134,9 +132,7 @@ def _disparity(left: Image, right: Image, product: float, settings: StereoSettin
     return np.where(steps > 0.0, steps / _STEPS, np.nan)
 
 
-def _unrectified(
-    images: tuple[Image, Image], camera: Camera, pair: StereoPair, settings: StereoSettings
-) -> tuple[Array, float]:
+def _unrectified(images: tuple[Image, Image], camera: Camera, pair: StereoPair) -> tuple[Array, float]:
     """(H, W) depths of the left pixels of any pair, and focal length times baseline of the rectified one."""
     import cv2
 
@@ -154,7 +150,7 @@ def _unrectified(
         maps = cv2.initUndistortRectifyMap(one.matrix, lens, turn, projection, (width, height), cv2.CV_32FC1)
         flat.append(np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR), dtype=np.uint8))
     product = -float(projections[1][0, 3])
-    disparity = _disparity(flat[0], flat[1], product, settings)
+    disparity = _disparity(flat[0], flat[1], product)
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(np.float64)
     found = cv2.undistortPoints(pixels, camera.matrix, lenses[0], R=turns[0], P=projections[0])[:, 0]
     column, row = np.rint(found).astype(np.int64).T

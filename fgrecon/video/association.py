@@ -282,30 +282,27 @@ class GatedAssociation:
         return _Track(time, box, box_rate, place, place_rate, candidate.spread, None, directions, observations)
 
 
-def ground_contact(
-    box: Array, camera: Camera, ground: Ground, settings: AssociationSettings = SETTINGS
-) -> tuple[Array, float] | None:
+def ground_contact(box: Array, camera: Camera, ground: Ground) -> tuple[Array, float] | None:
     """Where the line of sight through the middle of a box's lower edge meets the ground, and how sure that is.
 
     Args:
         box: (4,) x1, y1, x2, y2 in pixels.
         ground: The ground in its frame.
-        settings: How sure boxes and ground are.
 
     Returns:
         (3,) the place in the camera's frame and its standard deviation along the line of sight from frame to frame,
         metres; None where the box is cut off by the image's lower border, or the line meets no ground.
     """
-    if camera.image_size is not None and box[3] > camera.image_size[1] - 1 - settings.border_px:
+    if camera.image_size is not None and box[3] > camera.image_size[1] - 1 - SETTINGS.border_px:
         return None
-    foot = np.array([[(box[0] + box[2]) / 2, box[3]], [(box[0] + box[2]) / 2, box[3] + settings.box_edge_sigma_px]])
+    foot = np.array([[(box[0] + box[2]) / 2, box[3]], [(box[0] + box[2]) / 2, box[3] + SETTINGS.box_edge_sigma_px]])
     rays = camera.rays(camera.undistort(foot))
     falls = rays @ ground.normal
     if falls[0] <= 1e-3:
         return None
     place, nearer = (ground.distance / fall * ray for ray, fall in zip(rays, falls, strict=True))
-    pitched = float(settings.pitch_sigma_rad * place[2] / falls[0])
-    return place, float(np.hypot(np.linalg.norm(place - nearer), pitched)) + settings.place_sigma_m
+    pitched = float(SETTINGS.pitch_sigma_rad * place[2] / falls[0])
+    return place, float(np.hypot(np.linalg.norm(place - nearer), pitched)) + SETTINGS.place_sigma_m
 
 
 def _in_frame(current_T_previous: Array, track: _Track) -> _Track:

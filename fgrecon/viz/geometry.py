@@ -27,6 +27,8 @@ NOSE = 1.6
 _AROUND = [5, 4, 0, 1, 7, 6, 2, 3]  # of the corners that `fgrecon.core.box3d.box_corners` gives
 _NEAR = 0.1  # metres before the camera from which points are drawn
 _FAR_PIXEL = 1e5
+_MARGIN = 0.18  # of a crop on each side, relative to what it shows
+_HALF_GRID = 6.0  # metres, of the grid around a vehicle
 _GRID_SPACING, _GRID_NEAREST = 5.0, 0.5  # metres: of the ground's grid, and where it begins
 _GRID_ASIDE, _GRID_BEYOND = 15.0, 10.0  # metres: to each side at least, and beyond the farthest vehicle
 
@@ -89,7 +91,6 @@ def crop_around(
     projections: NDArray[np.float64],
     *,
     aspect: float,
-    margin: float = 0.18,
 ) -> Box:
     """The part of the image to show: around the box, the measured keypoints and the projected wireframe.
 
@@ -98,7 +99,6 @@ def crop_around(
         projections: (M, 2) projected points that should be shown too; NaN rows do not count. Those far from what was
             observed are left out, so that a bad estimate does not shrink the vehicle to a dot.
         aspect: Width divided by height of the crop.
-        margin: Free space on each side, relative to the content.
 
     Returns:
         x1, y1, x2, y2 in pixels; it may reach beyond the image.
@@ -116,7 +116,7 @@ def crop_around(
         content = np.zeros((1, 2))
     low, high = content.min(axis=0), content.max(axis=0)
     centre = (low + high) / 2
-    width, height = np.maximum(high - low, 8.0) * (1 + 2 * margin)
+    width, height = np.maximum(high - low, 8.0) * (1 + 2 * _MARGIN)
     width, height = max(width, height * aspect), max(height, width / aspect)
     return (centre[0] - width / 2, centre[1] - height / 2, centre[0] + width / 2, centre[1] + height / 2)
 
@@ -128,9 +128,7 @@ def ellipsoids(covariances: NDArray[np.float64]) -> tuple[NDArray[np.float64], N
     return np.sqrt(np.maximum(values, 0.0)), vectors
 
 
-def ground_grid(
-    camera_T_object: NDArray[np.float64], ground: Ground | None, half_size: float = 6.0, spacing: float = 1.0
-) -> NDArray[np.float64]:
+def ground_grid(camera_T_object: NDArray[np.float64], ground: Ground | None) -> NDArray[np.float64]:
     """(L, 2, 3) lines of a grid on the ground around a vehicle, in the camera frame, metres.
 
     The grid is in the ground plane where one is given, else in the plane below the vehicle (y = 0 of its frame).
@@ -142,8 +140,8 @@ def ground_grid(
     forward = forward - (forward @ down) * down
     forward = forward / np.linalg.norm(forward)
     left = cross(forward, down)
-    at = np.arange(-half_size, half_size + spacing / 2, spacing)
-    low, high = np.full_like(at, -half_size), np.full_like(at, half_size)
+    at = np.arange(-_HALF_GRID, _HALF_GRID + 0.5, 1.0)
+    low, high = np.full_like(at, -_HALF_GRID), np.full_like(at, _HALF_GRID)
     along = np.stack([np.stack([low, at], axis=-1), np.stack([high, at], axis=-1)], axis=1)
     lines = np.concatenate([along, along[..., ::-1]])
     return origin + lines[..., :1] * forward + lines[..., 1:] * left

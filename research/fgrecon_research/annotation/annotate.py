@@ -23,7 +23,7 @@ from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.perception.keypoints.detect import large_enough
 from fgrecon.perception.protocols import KeypointDetector, find_keypoints
 from fgrecon_research.annotation.annotation import Annotation, Fit, Solid, solid_of
-from fgrecon_research.annotation.known_box import BoxedView, KnownBoxOptions, fit_known_boxes
+from fgrecon_research.annotation.known_box import BoxedView, fit_known_boxes
 from fgrecon_research.annotation.unboxed import Unboxed, fit_unboxed
 
 _ALIKE = "Car", "Van"  # what the shape of a car fills
@@ -64,7 +64,6 @@ def annotate(
     detector: KeypointDetector,
     prior: ShapePrior,
     selection: Selection | None = None,
-    how: KnownBoxOptions | None = None,
     progress: Callable[[Sequence[Any], str], Iterable[Any]] = lambda things, _: things,
     unboxed: Unboxed | None = None,
     points: Callable[[DriveFrame], Points | None] | None = None,
@@ -76,7 +75,6 @@ def annotate(
         detector: Network whose points are evidence.
         prior: Shape prior of its category; where it has no surface, a hull of its keypoints stands for it.
         selection: Which objects.
-        how: How exact the boxes are.
         progress: Shows how far each loop is.
         unboxed: What is known of vehicles without 3D boxes, which then are reconstructed; None leaves them out.
         points: A LiDAR's points of a frame, which tell where a vehicle is and how it is shaped; None where it has none.
@@ -104,7 +102,7 @@ def annotate(
     found: list[tuple[_Member, Fit | Reason]] = []
     for _, members in progress(sorted(boxed.items()), "Shapes"):
         views = [BoxedView(one.found.observation, one.camera, one.box) for one in members]
-        found += zip(members, fit_known_boxes(views, prior, how), strict=True)
+        found += zip(members, fit_known_boxes(views, prior), strict=True)
     if unboxed is not None:
         fitted = fit_unboxed(_by_frame(others), prior, unboxed, progress)
         found += [(one, fitted[one.frame.number, one.track]) for one in others]

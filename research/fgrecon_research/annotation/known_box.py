@@ -40,7 +40,7 @@ from fgrecon_research.annotation.annotation import Fit
 
 
 @dataclass(frozen=True)
-class KnownBoxOptions:
+class KnownBoxSettings:
     """How exactly boxes are labelled, one sigma."""
 
     turn_sigma: float = float(np.deg2rad(1.5))  # yaw, roll and pitch, radians
@@ -49,18 +49,8 @@ class KnownBoxOptions:
     size_share: float = 0.03  # length, width and height, as a share of each
     common_error: float = 0.3  # as in `fgrecon.core.options.ShapeOptions`
 
-    def __post_init__(self) -> None:
-        """Check the numbers.
 
-        Raises:
-            InvalidInputError: A sigma is not above zero, or a share is negative.
-        """
-        for name in ("turn_sigma", "shift_sigma", "size_share"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise InvalidInputError(f"known_box.{name}", getattr(self, name), "Give a number above zero.")
-        for name in ("depth_share", "common_error"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise InvalidInputError(f"known_box.{name}", getattr(self, name), "Give a number from zero.")
+SETTINGS = KnownBoxSettings()
 
 
 @dataclass(frozen=True)
@@ -72,21 +62,18 @@ class BoxedView:
     box: Box3D  # the 3D box in the camera's frame, with its size
 
 
-def fit_known_boxes(
-    views: Sequence[BoxedView], prior: ShapePrior, how: KnownBoxOptions | None = None
-) -> list[Fit | Reason]:
+def fit_known_boxes(views: Sequence[BoxedView], prior: ShapePrior) -> list[Fit | Reason]:
     """The shape of a vehicle of known boxes, and its poses within what the boxes leave open.
 
     Raises:
         InvalidInputError: There is no image, a box has no size, or an observation is of another category.
     """
-    how = KnownBoxOptions() if how is None else how
     if not views or any(view.box.size is None for view in views):
         raise InvalidInputError("views", f"{len(views)} images", "Give at least one, each with the size of its box.")
     sizes = np.array([view.box.size for view in views], dtype=np.float64)
     size = np.median(sizes, axis=0)
-    model = prepare(prior, SizePrior("of the box", size, how.size_share * size))
-    options = Options(box="off", shape=ShapeOptions(common_error=how.common_error), keep_history=False)
+    model = prepare(prior, SizePrior("of the box", size, SETTINGS.size_share * size))
+    options = Options(box="off", shape=ShapeOptions(common_error=SETTINGS.common_error), keep_history=False)
     parts: list[GraphObservation] = []
     starts: list[PoseEstimate] = []
     extra: list[gtsam.NonlinearFactor] = []
@@ -99,7 +86,7 @@ def fit_known_boxes(
         start = _start(problem, view.box)
         parts.append(GraphObservation(problem, image=number))
         starts.append(start)
-        extra.append(_labelled(start.camera_T_object, X(0, number), how))
+        extra.append(_labelled(start.camera_T_object, X(0, number)))
     found: list[Fit | Reason] = [Reason.FEW_POINTS] * len(views)
     if parts:
         adjusted = minimise_from_proposals(parts, starts, extra)
@@ -135,14 +122,14 @@ def _start(problem: Problem, box: Box3D) -> PoseEstimate:
     )
 
 
-def _labelled(pose: Array, key: int, how: KnownBoxOptions) -> gtsam.NonlinearFactor:
+def _labelled(pose: Array, key: int) -> gtsam.NonlinearFactor:
     """The labelled pose as a prior; its spread along the line of sight is larger than across."""
     sight = pose[:3, 3] / np.linalg.norm(pose[:3, 3])
-    depth = how.depth_share * float(np.linalg.norm(pose[:3, 3]))
-    shift = how.shift_sigma**2 * np.eye(3) + depth**2 * np.outer(sight, sight)
+    depth = SETTINGS.depth_share * float(np.linalg.norm(pose[:3, 3]))
+    shift = SETTINGS.shift_sigma**2 * np.eye(3) + depth**2 * np.outer(sight, sight)
     rotation = pose[:3, :3]
     covariance = np.zeros((6, 6))
-    covariance[:3, :3] = how.turn_sigma**2 * np.eye(3)
+    covariance[:3, :3] = SETTINGS.turn_sigma**2 * np.eye(3)
     covariance[3:, 3:] = rotation.T @ shift @ rotation  # GTSAM's increments are in the object's frame
     noise = gtsam.noiseModel.Gaussian.Covariance((covariance + covariance.T) / 2)
     return gtsam.PriorFactorPose3(key, gtsam.Pose3(pose), noise)

@@ -10,8 +10,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Points
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.kitti_drives import read_drive, read_object_folder
+from fgrecon_research.annotation import known_box
 from fgrecon_research.annotation.annotate import LeftOut, Reason, Selection, annotate
-from fgrecon_research.annotation.known_box import KnownBoxOptions
 from fgrecon_research.annotation.labels import vehicle_labels
 from research.tests.annotation.streets import SIZE, Car, GivenKeypoints, write_drive
 
@@ -192,7 +192,7 @@ def test_against_keypoints_marked_by_hand(data, scene):
     assert np.median(np.concatenate(errors)) < 0.03
 
 
-def test_a_lidars_points_tell_the_shape_of_a_vehicle_whose_box_is_vague(scene, tmp_path):
+def test_a_lidars_points_tell_the_shape_of_a_vehicle_whose_box_is_vague(scene, tmp_path, monkeypatch):
     """Points of a longer car than its box, which is not known well, say how long it is."""
     car = scene.prior.for_fleet(SizePrior("longer", np.array([4.9, 1.75, 1.6]), np.full(3, 0.1)))
     frames = [{7: replace(NEAR, location=(-2.0, 1.6, 9.0 + t))} for t in range(2)]
@@ -210,10 +210,11 @@ def test_a_lidars_points_tell_the_shape_of_a_vehicle_whose_box_is_vague(scene, t
         return Points(shown @ pose[:3, :3].T + place, 0.02) if frame.number == 0 else None
 
     detector = GivenKeypoints(frames, scene.prior, noise=1.0)
-    how = KnownBoxOptions(shift_sigma=0.5, size_share=0.15)
+    vague = replace(known_box.SETTINGS, shift_sigma=0.5, size_share=0.15)
+    monkeypatch.setattr(known_box, "SETTINGS", vague)
     lengths = {}
     for name, more in (("alone", {}), ("lidar", {"points": points})):
-        made, left = annotate(drive, detector, scene.prior, how=how, **more)
+        made, left = annotate(drive, detector, scene.prior, **more)
         assert not left
         local = (made[0].vertices - made[0].camera_T_object[:3, 3]) @ made[0].camera_T_object[:3, :3]
         lengths[name] = np.ptp(local[:, 0])

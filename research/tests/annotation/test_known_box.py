@@ -12,8 +12,9 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.simulation.keypoint_noise import HOURGLASS, Twins
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
+from fgrecon_research.annotation import known_box
 from fgrecon_research.annotation.annotation import Fit
-from fgrecon_research.annotation.known_box import BoxedView, KnownBoxOptions, fit_known_boxes
+from fgrecon_research.annotation.known_box import SETTINGS, BoxedView, fit_known_boxes
 
 POSES = [yaw_pose(yaw, np.array([x, 1.65, z])) for yaw, x, z in ((1.2, -3, 14), (1.1, -2.5, 12), (0.9, -2.0, 10))]
 
@@ -82,7 +83,7 @@ def test_boxes_outvote_a_network_that_takes_the_front_for_the_rear(scene, vehicl
 
 def test_covariances_hold_for_cars_drawn_from_all_that_is_assumed(scene):
     """Boxes off by their sigmas, shapes of the prior, pixels off by the keypoints' covariances."""
-    rng, prior, how = np.random.default_rng(5), scene.prior, KnownBoxOptions()
+    rng, prior, how = np.random.default_rng(5), scene.prior, SETTINGS
     squares = []
     for _ in range(30):
         true = Vehicle.sample(prior, rng)
@@ -105,7 +106,7 @@ def test_covariances_hold_for_cars_drawn_from_all_that_is_assumed(scene):
             rotation_y(pose) + how.turn_sigma * rng.standard_normal(),
             size * (1.0 + how.size_share * rng.standard_normal(3)),
         )
-        (fit,) = fit_known_boxes([BoxedView(seen, KITTI_CAMERA, box)], prior, how)
+        (fit,) = fit_known_boxes([BoxedView(seen, KITTI_CAMERA, box)], prior)
         off = fit.result.pose.wireframe_uv - pixels
         squares.append(np.einsum("ki,kij,kj->k", off, np.linalg.inv(fit.covariance), off))
     assert 1.2 < np.mean(squares) < 3.0  # 2 where they hold
@@ -115,14 +116,15 @@ def test_covariances_hold_for_cars_drawn_from_all_that_is_assumed(scene):
     ("option", "tight", "loose"),
     [("turn_sigma", 1e-4, 0.2), ("shift_sigma", 1e-4, 0.5), ("depth_share", 0.0, 0.2), ("size_share", 0.005, 0.2)],
 )
-def test_tighter_boxes_are_kept_more_closely(scene, vehicle, option, tight, loose):
+def test_tighter_boxes_are_kept_more_closely(scene, vehicle, monkeypatch, option, tight, loose):
     views, _ = track(scene.prior, vehicle)
     box = views[0].box
     off = replace(box, location=box.location * 1.03, rotation_y=box.rotation_y + 0.1, size=box.size * [1.1, 1.0, 1.0])
     view = replace(views[0], box=off)
 
     def distance(value):
-        (fit,) = fit_known_boxes([view], scene.prior, replace(KnownBoxOptions(), **{option: value}))
+        monkeypatch.setattr(known_box, "SETTINGS", replace(SETTINGS, **{option: value}))
+        (fit,) = fit_known_boxes([view], scene.prior)
         result = fit.result
         return {
             "turn_sigma": abs(result.rotation_y - off.rotation_y),
@@ -134,12 +136,12 @@ def test_tighter_boxes_are_kept_more_closely(scene, vehicle, option, tight, loos
     assert distance(tight) < distance(loose)
 
 
-def test_images_that_err_alike_count_less(scene, vehicle):
+def test_images_that_err_alike_count_less(scene, vehicle, monkeypatch):
     views, _ = track(scene.prior, vehicle)
-    spread = [
-        np.trace(fit_known_boxes(views, scene.prior, KnownBoxOptions(common_error=share))[0].covariance.sum(axis=0))
-        for share in (0.0, 1.0)
-    ]
+    spread = []
+    for share in (0.0, 1.0):
+        monkeypatch.setattr(known_box, "SETTINGS", replace(SETTINGS, common_error=share))
+        spread.append(np.trace(fit_known_boxes(views, scene.prior)[0].covariance.sum(axis=0)))
     assert spread[0] < spread[1]
 
 
@@ -170,6 +172,3 @@ def test_what_cannot_be_used_is_refused(scene, vehicle):
         fit_known_boxes([], scene.prior)
     with pytest.raises(InvalidInputError, match="size of its box"):
         fit_known_boxes([replace(views[0], box=replace(views[0].box, size=None))], scene.prior)
-    for option, value in (("turn_sigma", 0.0), ("shift_sigma", -1.0), ("depth_share", np.nan), ("common_error", -0.1)):
-        with pytest.raises(InvalidInputError, match=option):
-            KnownBoxOptions(**{option: value})

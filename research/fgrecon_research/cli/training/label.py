@@ -227,7 +227,7 @@ def label_drives(
             return watch(things, f"{name}: {heading}")
 
         points, started = scan_of if lidar else None, perf_counter()
-        made, left = annotate(drive, detector, prior, selection, None, watched, unboxed, points)
+        made, left = annotate(drive, detector, prior, selection, watched, unboxed, points)
         done.append(Labelled(drive, made, left, perf_counter() - started))
     return done
 
