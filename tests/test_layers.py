@@ -24,7 +24,7 @@ ROOMS = {
     "solve": {"factors", "core", "io", "solve/vehicle", "solve/proposals", "solve/graph", "solve/time"},
     "perception/keypoints": {"core", "io"},
     "perception": {
-        *("factors", "core", "io", "io/cameras", "io/datasets", "io/sensors", "solve", "solve/proposals"),
+        *("factors", "core", "io", "io/cameras", "io/datasets", "io/sensors", "solve"),
         "perception/keypoints",
     },
     "": {

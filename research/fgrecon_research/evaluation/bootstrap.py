@@ -61,7 +61,7 @@ def median_interval(values: ArrayLike, groups: ArrayLike | None = None, seed: in
 def statistic_interval(values: ArrayLike, statistic: Callable[[NDArray[np.float64]], float], seed: int = 0) -> Interval:
     """Any statistic of values (M,), such as the median, with its interval; each value is drawn by itself."""
     numbers = _checked(values)
-    return _interval(statistic(numbers), np.array([statistic(sample) for sample in resampled(numbers, seed)]))
+    return _interval(float(statistic(numbers)), np.array([statistic(sample) for sample in resampled(numbers, seed)]))
 
 
 def resampled(values: NDArray[np.float64], seed: int = 0) -> NDArray[np.float64]:

@@ -139,6 +139,10 @@ def _opencv(flag: str, points: Callable[[Observation], NDArray[np.intp]]) -> Cal
     return load
 
 
+load_sqpnp = _opencv("SOLVEPNP_SQPNP", _use_all)
+"""Makes OpenCV's SQPnP on all points."""
+
+
 def _poselib() -> PnP:
     def solve(shape: Shape, observation: Observation, camera: Camera) -> NDArray[np.float64]:
         used = _enough(_use_all(observation))
@@ -225,7 +229,7 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
 
 _BASELINES: tuple[tuple[str, str, Callable[[], PnP]], ...] = (
     ("epnp", "OpenCV EPnP on all points", _opencv("SOLVEPNP_EPNP", _use_all)),
-    ("sqpnp", "OpenCV SQPnP on all points", _opencv("SOLVEPNP_SQPNP", _use_all)),
+    ("sqpnp", "OpenCV SQPnP on all points", load_sqpnp),
     (
         "sqpnp_confident",
         f"OpenCV SQPnP, confidence > {CONFIDENT}",

@@ -9,14 +9,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
-from fgrecon.core.geometry import rigid, transform
+from fgrecon.core.geometry import transform
 from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.options import BoxModel, KeypointOptions, Options, ShapeOptions
@@ -28,6 +27,7 @@ from fgrecon.io.catalogue import load_category
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.conditioning import given_size
 from fgrecon_research.evaluation.measures import keypoint_error, rotation_error
+from fgrecon_research.evaluation.methods import load_sqpnp
 from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars, image_half, marking_offsets
 from fgrecon_research.paper.stages import solved_stages
 from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior, apollo79_size_relation
@@ -156,13 +156,7 @@ def _score_car(car: MarkedCar, camera: Camera, variants: Sequence[tuple[ShapePri
 
 
 def _sqpnp(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Array, Array]]:
-    used = np.isfinite(car.keypoints[:, 0])
-    found, turn, origin = cv2.solvePnP(
-        prior.mean[used], car.keypoints[used], camera.matrix, None, flags=cv2.SOLVEPNP_SQPNP
-    )
-    if not found:
-        raise FgreconError("OpenCV found no pose.")
-    return [(rigid(cv2.Rodrigues(turn)[0], origin.ravel()), prior.mean)]
+    return [(load_sqpnp()(prior.mean, car.observation, camera), prior.mean)]
 
 
 @summed_up()  # what an evaluation solves is measured, not warned of

@@ -217,7 +217,7 @@ def decoupling_table(ours: Scores, our_rows: Sequence[str], chain: Scores, chain
         groups = _groups(scores)[used]
         for row in names:
             r = rows.index(row)
-            shape = statistic_interval(100.0 * scores.shape[used, r], lambda sample: float(np.median(sample)))
+            shape = statistic_interval(100.0 * scores.shape[used, r], np.median)
             cells: tuple[Cell, ...] = (
                 mean_interval(scores.orientation[used, r], groups),
                 _median(scores.orientation[used, r]),
@@ -280,9 +280,6 @@ def known_shape_tables(scores: KnownShapeScores, note: str) -> tuple[Table, Tabl
 
 
 def _known(scores: KnownShapeScores, r: int, used: NDArray[np.bool_]) -> tuple[Cell, ...]:
-    def median(sample: Array) -> float:
-        return float(np.median(sample))
-
     errors = (scores.rotation[used, r], 100.0 * scores.translation[used, r], 100.0 * scores.keypoint[used, r])
-    intervals = [statistic_interval(values, median) for values in errors]
+    intervals = [statistic_interval(values, np.median) for values in errors]
     return (*intervals, int((scores.rotation[used, r] > 30.0).sum()))
