@@ -22,8 +22,8 @@ from factors.noise import diagonal_noise
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.solve.solve_settings import SCENE
-from fgrecon.solve.weakness import off_ground
+from fgrecon.solve.solve_settings import SCENE, STATUS
+from fgrecon.solve.weakness import against_ground, off_ground
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,11 @@ class ImageGround:
 
     def off_ground(self, result: Reconstruction, given: Ground | None, values: gtsam.Values) -> list[str]:
         """The clause of a vehicle that does not stand on the ground that was given, or else on that of the others."""
-        depth = float(result.location[2])
         if given is not None:
-            below = float(given.normal @ result.location - given.distance)
-            return off_ground(below, given.height_sigma_at_depth(depth))
+            return against_ground(result.camera_T_object, given, STATUS.leaning_together_sigmas)
         normal, distance = self.frame.plane(values.atVector(self.key))
-        return off_ground(float(normal @ result.location - distance), _own_height(self.nominal, depth))
+        below = float(normal @ result.location - distance)
+        return off_ground(below, _own_height(self.nominal, float(result.location[2])))
 
 
 def ground_spread(plane: Ground | None) -> Array:

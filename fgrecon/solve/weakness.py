@@ -57,12 +57,7 @@ def weaknesses(
     if len(coefficients) and (largest := float(np.abs(coefficients).max())) > STATUS.shape_sigmas:
         found.append(f"its shape is {largest:.1f} standard deviations from the mean")
     if ground is not None:
-        sigma = ground.height_sigma_at_depth(float(camera_T_object[2, 3]))
-        found += off_ground(float(ground.normal @ camera_T_object[:3, 3] - ground.distance), sigma)
-        lean = math.acos(min(float(ground.normal @ camera_T_object[:3, 1]), 1.0))
-        if lean > STATUS.leaning_sigmas * ground.tilt_sigma:
-            sigmas = f"{lean / ground.tilt_sigma:.1f} standard deviations"
-            found.append(f"it leans by {math.degrees(lean):.0f} degrees on the ground, {sigmas}")
+        found += against_ground(camera_T_object, ground, STATUS.leaning_sigmas)
     elif in_the_air(camera_T_object):
         found.append(REASONS[InputWarning.AIR])
     if np.linalg.norm(camera_T_object[:3, 3]) > INPUT_WARNINGS.farthest_m:
@@ -70,6 +65,17 @@ def weaknesses(
     if (warning := camera_warning_of(camera)) is not None:
         found.append(REASONS[warning])
     return tuple(found)
+
+
+def against_ground(camera_T_object: Array, ground: Ground, leaning_sigmas: float) -> list[str]:
+    """The clauses of a vehicle at a pose (4, 4) that is off the ground that is given, or leans on it by so much."""
+    sigma = ground.height_sigma_at_depth(float(camera_T_object[2, 3]))
+    found = off_ground(float(ground.normal @ camera_T_object[:3, 3] - ground.distance), sigma)
+    lean = math.acos(min(float(ground.normal @ camera_T_object[:3, 1]), 1.0))
+    if lean > leaning_sigmas * ground.tilt_sigma:
+        sigmas = f"{lean / ground.tilt_sigma:.1f} standard deviations"
+        found.append(f"it leans by {math.degrees(lean):.0f} degrees on the ground, {sigmas}")
+    return found
 
 
 def off_ground(below: float, sigma: float) -> list[str]:

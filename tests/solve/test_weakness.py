@@ -17,6 +17,7 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.result import weakened
+from fgrecon.solve.scene import reconstruct_scene
 from fgrecon.solve.weakness import off_ground, unknown_focal, weaknesses
 from tests.cars import CAMERA, observe, yaw_pose
 
@@ -98,6 +99,25 @@ def test_a_rolled_camera_that_is_given_as_level_contradicts_its_cars(prior):
         seen = observe(prior, pose, 0.7 * rng.standard_normal(5), noise=2.0, seed=seed)
         statuses.append(reconstruct(seen, CAMERA, ground=1.65).status)
     assert Status.CONVERGED not in statuses
+
+
+@pytest.mark.parametrize(("degrees", "converged"), [(0.0, (14, 20)), (10.0, (0, 2))])
+def test_a_rolled_camera_contradicts_the_cars_of_a_scene(prior, degrees, converged):
+    """They lean together, and take the ground with them."""
+    rolled = np.eye(4)
+    rolled[:3, :3] = exponential(np.array([0.0, 0.0, np.radians(degrees)]))
+    results = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        poses = [
+            rolled @ yaw_pose(rng.uniform(-np.pi, np.pi), (rng.uniform(-4.0, 4.0), 1.65, 8.0 + 4.0 * car))
+            for car in range(4)
+        ]
+        seen = [observe(prior, pose, 0.7 * rng.standard_normal(5), noise=2.0, seed=seed) for pose in poses]
+        results += reconstruct_scene(seen, CAMERA, ground=1.65, size_prior="kitti").vehicles
+    least, most = converged
+    assert least <= sum(one.status is Status.CONVERGED for one in results) <= most
+    assert degrees == 0.0 or any("leans by" in reason for one in results for reason in one.reasons)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
