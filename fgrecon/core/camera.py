@@ -31,6 +31,7 @@ _SIZE = "Give width and height in whole pixels."
 _NARROWEST, _FARTHEST = 1e-9, 1e6  # metres, radians: what a ground is known to, and how high a camera is at most
 _ANY_TILT = 0.3  # radians (1 sigma)
 _HIGHEST = 100.0  # metres, of a camera as somebody tells it: more are millimetres or centimetres
+_HEIGHT = f"Give the camera's height above the ground in metres, at most {_HIGHEST:g} and above 0."
 _SAME_PIXEL, _LARGEST_IDEAL = 1.0, 1e7  # pixels: where a distortion counts as undone, and what is far from any image
 _LARGEST = 1e9
 """No focal length is longer, in pixels; beyond, squares of numbers soon overflow."""
@@ -376,7 +377,7 @@ class Ground:
         for field in ("distance", "height_sigma", "slope_sigma", "tilt_sigma"):
             value = float(as_finite(f"ground.{field}", getattr(self, field), (), "Give a positive number."))
             if not _NARROWEST <= value <= _FARTHEST:
-                fix = f"Give a number from {_NARROWEST:g} to {_FARTHEST:g}."
+                fix = _HEIGHT if field == "distance" else f"Give a number from {_NARROWEST:g} to {_FARTHEST:g}."
                 raise InvalidInputError(f"ground.{field}", value, fix)
 
     @cached_property
@@ -402,8 +403,7 @@ class Ground:
             InvalidInputError: The camera is higher than any that looks at vehicles.
         """
         if self.distance > _HIGHEST:
-            fix = f"Give the camera's height in metres, at most {_HIGHEST:g}."
-            raise InvalidInputError("ground.distance", self.distance, fix)
+            raise InvalidInputError("ground.distance", self.distance, _HEIGHT)
         return self
 
     @classmethod

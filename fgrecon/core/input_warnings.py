@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -54,12 +54,14 @@ class InputWarningSettings:
     stray_distance: float = 10.0  # times the median of these distances; on KITTI's tracks no keypoint has over 3.6
     widest_ray: float = 11.4  # tangent of 85 degrees beside the axis
     leaning_radians: float = math.radians(35.0)  # of results: tilt against the camera
+    longest_interval_s: float = 10.0  # between frames over which vehicles are followed
     above_share: float = 0.35  # of results: height over the camera by the distance
 
 
 SETTINGS = InputWarningSettings()
 """What is used."""
 
+_INTERVALS = 2  # between frames, from which on they are judged: one may be a gap
 _NAMED = 3  # vehicles that a warning names
 _MARKS = np.array([-999.0, -1000.0, -9999.0, 9999.0, 99999.0])  # for u and v of a point that is missing
 
@@ -383,6 +385,16 @@ def fit_share(observation: Observation, weights: Array) -> float | None:
         if np.count_nonzero(certain) >= SETTINGS.least_certain_keypoints
         else None
     )
+
+
+def interval_warning(times: Sequence[float]) -> str | None:
+    """What to warn of frames at these times, seconds, over which vehicles are followed."""
+    if len(times) < _INTERVALS + 1:
+        return None
+    usual = float(np.percentile(np.diff(times), 50.0, method="lower"))
+    if usual < SETTINGS.longest_interval_s:
+        return None
+    return f"Frames are {usual:g} s apart, too far to follow vehicles. Are their times seconds, and is --fps right?"
 
 
 def _at_edge(box: Array, size: Array) -> bool:

@@ -92,7 +92,8 @@ class Observation:
         if self.box is not None:
             box = as_finite("box", self.box, (4,), "Give x1, y1, x2, y2 in pixels.")
             if not (box[2] - box[0] >= 1 and box[3] - box[1] >= 1):
-                raise InvalidInputError("box", box.tolist(), "Give x1 < x2 and y1 < y2, at least a pixel apart.")
+                fix = "Give two corners x1, y1, x2, y2, at least a pixel apart, no width and height."
+                raise InvalidInputError("box", box.tolist(), fix)
             _check_size("box", box)
             set_(self, "box", own(box))
         if self.covariance is not None:

@@ -19,6 +19,8 @@ SHORTEST, LONGEST = 0.3, 30.0
 SIZES = f"length, width and height are {SHORTEST:g} to {LONGEST:g} m"
 """The same in words, for errors."""
 
+_FOOT_M = 0.3048
+_FEET = 2.2  # times the usual length, width and height at once: small cars in feet have 2.3, 2.9 and 2.9, lorries less
 _KNOWN, _WIDEST = 1e-4, 1e6  # metres: a size is known no better, and may be anything
 
 
@@ -253,8 +255,8 @@ def size_prior(value: SizesLike) -> SizePrior:
     return _parsed(",".join(map(str, numbers.tolist())))
 
 
-def check_order(field: str, size: NDArray[np.float64], usual: NDArray[np.float64]) -> None:
-    """Refuse a size (3,) whose numbers are in another order than length, width, height: KITTI's and nuScenes' differ.
+def check_size(field: str, size: NDArray[np.float64], usual: NDArray[np.float64]) -> None:
+    """Refuse a size (3,) in feet, or in another order than length, width, height: KITTI's and nuScenes' differ.
 
     Args:
         field: What an error names.
@@ -262,12 +264,21 @@ def check_order(field: str, size: NDArray[np.float64], usual: NDArray[np.float64
         usual: (3,) those of the category's mean vehicle.
 
     Raises:
-        InvalidInputError: The category is longest along its axis, and this is not.
+        InvalidInputError: The category is longest along its axis, and this is not; or no vehicle of any class has so
+            many times each of its lengths.
     """
+    fix, given = "", size.tolist()
     if usual[0] > usual[1:].max() and size[0] < size[1:].max():
-        order = "length, width, height"
-        fix = f"Give {order}, in metres and in this order: {', '.join(f'{x:.2f}' for x in usual)} is usual."
-        raise InvalidInputError(field, [float(x) for x in size], fix)
+        fix = f"Give length, width, height, in metres and in this order: {_in_metres(usual)} is usual."
+    elif (size > _FEET * usual).all():
+        fix = f"Give length, width, height in metres: {_in_metres(usual)} is usual, and these feet are "
+        fix += f"{_in_metres(_FOOT_M * size)}."
+    if fix:
+        raise InvalidInputError(field, given, fix)
+
+
+def _in_metres(size: NDArray[np.float64]) -> str:
+    return ", ".join(f"{metres:.2f}" for metres in size)
 
 
 @lru_cache(maxsize=64)  # one object for one text, so that what is prepared for it is found again

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
@@ -93,13 +94,23 @@ def decode_image(content: bytes, name: str) -> NDArray[np.uint8]:
     import cv2  # on use: importing fgrecon must not import OpenCV
 
     _check_size(content, name)
-    try:
-        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_COLOR) if content else None
-    except cv2.error:
-        image = None
+    coded, image = np.frombuffer(content, dtype=np.uint8), None
+    with suppress(cv2.error):
+        if content:
+            image = cv2.imdecode(coded, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+            if image is not None and image.dtype == np.uint16:
+                image = _of_bytes(image)
+            elif image is not None and image.dtype != np.uint8:
+                image = cv2.imdecode(coded, cv2.IMREAD_COLOR)
     if image is None:
         raise InvalidInputError("image", name, "Give an image that OpenCV reads, such as PNG or JPEG.")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=image), dtype=np.uint8)
+
+
+def _of_bytes(image: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """The upper 8 of an image's bits, of which cameras use 8, 10, 12, 14 or all 16."""
+    used = next(bits for bits in (8, 10, 12, 14, 16) if int(image.max()) < 1 << bits)
+    return (image >> (used - 8)).astype(np.uint8)
 
 
 def _check_size(content: bytes, name: str) -> None:

@@ -108,7 +108,7 @@ class Vehicles:
         Raises:
             InvalidInputError: A shape is wrong, a number is not finite, or a box has no size.
         """
-        fix = "Give x1, y1, x2, y2 of each vehicle in pixels, x1 < x2 and y1 < y2."
+        fix = "Give two corners x1, y1, x2, y2 of each vehicle in pixels, no width and height."
         boxes = as_finite("vehicles.boxes", self.boxes, (None, 4), fix)
         empty = boxes[~(boxes[:, 2:] > boxes[:, :2]).all(axis=1)]
         if len(empty):

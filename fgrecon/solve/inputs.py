@@ -26,7 +26,7 @@ from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.point_frames import check_points
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import CLASSES, SizePrior, SizesLike, check_order, other_fleets, size_prior
+from fgrecon.core.size_prior import CLASSES, SizePrior, SizesLike, check_size, other_fleets, size_prior
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior, shipped_class_sizes, shipped_cuboid
 from fgrecon.io.image_size import scale_between
@@ -82,7 +82,7 @@ class SolveSetup:
         chosen, loaded = checked_options(options, joint=joint), load_prior(prior)
         fleet = None if sizes is None else size_prior(sizes)
         if fleet is not None:
-            check_order("size_prior", fleet.mean, _usual_size(loaded))
+            check_size("size_prior", fleet.mean, _usual_size(loaded))
         model = prepare(loaded, fleet, chosen.shape.basis_vectors)
         return cls(chosen, loaded, model, as_ground(ground), fleet)
 
@@ -353,7 +353,7 @@ def as_initial(initial: Box3D | float | None, prior: ShapePrior) -> Box3D | floa
         return None
     if isinstance(initial, Box3D):
         if initial.size is not None:
-            check_order("initial.size", initial.size, _usual_size(prior))
+            check_size("initial.size", initial.size, _usual_size(prior))
         return initial
     yaw = float(as_finite("initial", initial, (), "Give a `Box3D`, or a guess of rotation_y in radians."))
     if abs(yaw) > _TURN:
@@ -439,7 +439,7 @@ def as_boxes(boxes: Sequence[Box3D | None], count: int, camera: Camera, prior: S
         raise InvalidInputError("boxes", "given without a known focal length", fix)
     for number, box in enumerate(boxes):
         if box is not None and box.size is not None:
-            check_order(f"boxes[{number}].size", box.size, _usual_size(prior))
+            check_size(f"boxes[{number}].size", box.size, _usual_size(prior))
     return boxes
 
 

@@ -157,8 +157,9 @@ class StatusSettings:
     leaning_sigmas: float = 1.5  # of a car on the given ground; chosen on simulated ones: at most 1.1, and 1.5 to 3.6
     # where the camera that was given as level is rolled by 10 degrees
     leaning_together_sigmas: float = 1.75
-    """Of cars of an image that may lean together. With the camera rolled by 10 degrees 92 % of simulated ones lean more;
-    of KITTI's in 85 images 5 of 220, on roads that are banked by 3 degrees."""
+    """Of cars of an image, which may lean together. With the camera rolled by 10 degrees 92 % of simulated ones lean
+    more; of KITTI's in 85 images 5 of 220, on roads that are banked by 3 degrees."""
+    fastest_m_s: float = 150.0  # of a vehicle over the camera or the ground; not tuned
     outside_image: float = 0.5  # of the vehicle's 2D box
     shape_sigmas: float = 3.0  # of a shape coefficient
     rough_focal_log: float = 0.1

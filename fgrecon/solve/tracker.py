@@ -25,7 +25,7 @@ from fgrecon.core.checks import as_flag, as_time
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.evidence import Evidence
 from fgrecon.core.history import Deferred
-from fgrecon.core.input_warnings import InputWarnings, warn_of
+from fgrecon.core.input_warnings import InputWarnings, interval_warning, warn, warn_of
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import GraphFactor, Reconstruction, rotation_y
@@ -51,7 +51,7 @@ from fgrecon.solve.inputs import (
     without_rates_over_ground,
 )
 from fgrecon.solve.proposals.point_term import with_its_points
-from fgrecon.solve.result import marginalise, results, with_facing_over_time, with_gains
+from fgrecon.solve.result import marginalise, results, weakened, with_facing_over_time, with_gains
 from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.threads import single_threaded
@@ -60,6 +60,7 @@ from fgrecon.solve.time.frame import Frame
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle_filter import FilterModel
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, rate_gains, velocity_covariances
+from fgrecon.solve.weakness import too_fast
 
 _MAPPING = "Give a mapping: an `fgrecon.Observation` by id. Images go to `fgrecon.video.ImageTracker`."
 
@@ -120,6 +121,7 @@ class Tracker:
         self._tracks: dict[int, VehicleTrack] = {}
         self._forgotten: list[float] = []  # how far the boxes of vehicles were off that were forgotten
         self._time = self._clock = -np.inf
+        self._latest: list[float] = []  # times of the last two frames
         self._cameras: list[tuple[Camera, gtsam.Pose3 | None]] = []  # of the last time
         self._drift = CameraDrift()
         self._one_call = Lock()
@@ -185,6 +187,9 @@ class Tracker:
             drift = self._drift.moved(place, moved)
             frame = CameraFrame(clock, used, plane, place, moved, drift, sensed=plane is not given)
             found = self._update(frame, time, observations, sensed, estimated=made)
+            if time > self._time and (line := interval_warning([*self._latest, time])) is not None:
+                warn(line, stacklevel=3)
+            self._latest = [*self._latest[-1:], time]
             self._time, self._clock, self._cameras, self._drift = time, clock, cameras, frame.drift
             return found
 
@@ -422,6 +427,7 @@ def _estimate(
         forward, left, turn_rate = frame.velocity.tolist()
         velocity = axes @ np.array([forward, 0.0, left])
         spread = None if moving[0] is None else axes @ moving[0] @ axes.T
+        result = weakened(result, too_fast(float(np.linalg.norm(velocity))))
     return VehicleEstimate(
         id=name,
         time=context.time,

@@ -86,6 +86,13 @@ def off_ground(below: float, sigma: float) -> list[str]:
     return [f"it is {abs(below):.2f} m {side} the ground, {abs(below) / sigma:.1f} standard deviations"]
 
 
+def too_fast(speed: float) -> list[str]:
+    """The clause of a vehicle that goes so many metres a second as none does."""
+    if speed <= STATUS.fastest_m_s:
+        return []
+    return [f"it goes {speed:.0f} m/s: are the times of the frames seconds, and all of them there?"]
+
+
 def unknown_focal(
     sigma: float, lengths: Sequence[tuple[float, float]], margin: float
 ) -> tuple[Status, tuple[str, ...]]:

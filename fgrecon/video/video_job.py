@@ -23,7 +23,13 @@ from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from fgrecon.core.choices import BoxModel, ClassSource
 from fgrecon.core.errors import InvalidInputError, UncoveredFramesWarning
 from fgrecon.core.evidence import Evidence
-from fgrecon.core.input_warnings import InputWarnings, camera_warning_of, input_warning_of, summed_up
+from fgrecon.core.input_warnings import (
+    InputWarnings,
+    camera_warning_of,
+    input_warning_of,
+    interval_warning,
+    summed_up,
+)
 from fgrecon.core.text import counted
 from fgrecon.io.bag import is_bag
 from fgrecon.io.bag_drive import BagDrive, LidarTopic, open_bag_drive
@@ -418,7 +424,7 @@ def track_video(
             run.smooth(follower)
     if isinstance(tracker, Tracker) and (off := tracker.boxes_off()) is not None:
         warn(boxes_warning(off))
-    for line in run.warnings + _keypoint_warnings(job, run):
+    for line in run.warnings + _frame_warnings(run, alone=request.alone) + _keypoint_warnings(job, run):
         warn(line)
     return run
 
@@ -490,6 +496,16 @@ def _sense(
         return sensors.evidence(path)
 
     return of_files
+
+
+def _frame_warnings(run: VideoRun, *, alone: bool) -> list[str]:
+    """What to warn of frames that could not be used, and of the times of all."""
+    found = []
+    if run.gaps:
+        first = next(iter(run.gaps.values()))
+        found.append(f"{counted(len(run.gaps), 'frame')} could not be used, the first: {first}")
+    interval = interval_warning([head.time for head in run.frames.heads])
+    return found + ([] if interval is None or alone else [interval])
 
 
 def _keypoint_warnings(job: VideoJob, run: VideoRun) -> list[str]:

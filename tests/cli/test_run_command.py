@@ -52,7 +52,7 @@ def whole(drive, tmp_path_factory):
     out = tmp_path_factory.mktemp("whole") / "out"
     done = run(images, "--tracks", file, "--fps", 10, "--out", out, "--json", out.parent / "run.json", "--verbose")
     assert done.exit_code == 0, done.output
-    return out, done.stdout
+    return out, done.output
 
 
 def contents(out):
@@ -78,6 +78,7 @@ def test_its_tables_agree(whole):
     assert "000009.png" in frames[5]["problem"]
     assert "8 frames, 1 of them gaps, 2 cars" in said
     assert "gap 000009.png" in said
+    assert "Warning: 1 frame could not be used, the first: " in said
     document = json.loads((out.parent / "run.json").read_text())
     assert document["tracks"] == [{"id": i, "frames": 8, "first": 3, "last": 11} for i in (10, 11)]
     assert (document["estimates"], document["stopped"]) == (len(rows), False)

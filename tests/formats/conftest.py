@@ -36,7 +36,8 @@ def devkit(tmp_path):
             command, check=False, input=given, capture_output=True, text=True, cwd=tmp_path, timeout=300
         )
         assert done.returncode == 0, done.stderr[-3000:]
-        return json.loads(done.stdout) if done.stdout.strip() else None
+        lines = done.stdout.splitlines()  # some packages say something on their first run
+        return json.loads(lines[-1]) if lines else None
 
     return run
 

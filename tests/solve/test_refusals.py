@@ -80,6 +80,12 @@ BAD = {
     ),
     "fleet in KITTI's order": ({"size_prior": "1.5,1.8,4.5"}, "size_prior", InvalidInputError),
     "fleet in nuScenes' order": ({"size_prior": (1.8, 4.5, 1.5)}, "size_prior", InvalidInputError),
+    "fleet in feet": ({"size_prior": "12.8,5.3,5.0"}, "size_prior", InvalidInputError),
+    "size of a guess in feet": (
+        {"initial": Box3D([0.0, 1.6, 12.0], 0.0, [10.6, 5.3, 4.9])},
+        "initial.size",
+        InvalidInputError,
+    ),
     "fleet of two numbers": ({"size_prior": [4.5, 1.8]}, "size_prior", InvalidInputError),
     "third numbers beside confidences": (
         {"keypoints": np.column_stack([few(14), np.ones(14)])},

@@ -330,7 +330,7 @@ def check_box(box: Array, image: NDArray[np.uint8], field: str = "box") -> None:
     height, width = image.shape[:2]
     size = box[2:] - box[:2]
     if not (size > 0).all():
-        raise InvalidInputError(field, box.tolist(), "Give x1 < x2 and y1 < y2 in pixels.")
+        raise InvalidInputError(field, box.tolist(), "Give two corners x1, y1, x2, y2 in pixels, no width and height.")
     if not large_enough(box):
         raise InvalidInputError(field, box.tolist(), f"Give a vehicle of at least {SMALLEST_BOX:g} pixels.")
     inner = np.minimum(box[2:], [width - 0.5, height - 0.5]) - np.maximum(box[:2], -0.5)

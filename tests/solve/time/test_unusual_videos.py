@@ -1,12 +1,13 @@
 """`fgrecon.Tracker` where something is unusual: terms that are off, factors that raise, cameras on their side."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import fgrecon
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import ContradictoryInputWarning, InvalidInputError
 from tests.solve.time.streets import CAMERA, seen, upright
 from tests.solve.time.test_tracker import GROUND, approaching, follow
 
@@ -45,6 +46,26 @@ def test_a_frame_in_which_something_is_raised_leaves_nothing_behind():
     for name, one in found.items():
         np.testing.assert_array_equal(one.reconstruction.camera_T_object, expected[name].reconstruction.camera_T_object)
         assert len(tracker.smooth()[name]) == len(frames) - 1
+
+
+def test_times_in_milliseconds_are_warned_of_and_one_gap_is_not():
+    rng, poses, tracker = np.random.default_rng(6), approaching(8), fgrecon.Tracker(size_prior="kitti")
+    for time, pose in zip((0.0, 0.1, 20.0, 20.1), poses, strict=False):  # pytest makes warnings errors
+        tracker.update(time, {1: seen(pose, rng)}, camera=CAMERA, ground=GROUND)
+    tracker = fgrecon.Tracker(size_prior="kitti")
+    for t, pose in enumerate(poses[:2]):
+        tracker.update(100.0 * t, {1: seen(pose, rng)}, camera=CAMERA, ground=GROUND)
+    with pytest.warns(ContradictoryInputWarning, match="Frames are 100 s apart"):
+        tracker.update(200.0, {1: seen(poses[2], rng)}, camera=CAMERA, ground=GROUND)
+
+
+def test_a_vehicle_that_goes_as_none_does_is_weak():
+    """As at the times of a frame rate that is a thousand times too high."""
+    rng = np.random.default_rng(6)
+    frames = [(1e-4 * t, seen(pose, rng), None) for t, pose in enumerate(approaching(8))]
+    last = follow(frames)[0][-1]
+    assert last.reconstruction.status is fgrecon.Status.WEAK
+    assert re.search(r"it goes \d{4,} m/s: are the times", last.reconstruction.reasons[-1])
 
 
 def test_a_focal_length_that_is_not_known_is_refused():
