@@ -32,9 +32,8 @@ from fgrecon.core.input_warnings import (
 from fgrecon.core.options import BoxModel, Options, checked_options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior, SizesLike
-from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.boxes import FileBoxes, NamedBox
-from fgrecon.io.catalogue import load_prior
+from fgrecon.io.catalogue import load_prior, load_size_prior
 from fgrecon.io.images import decode_photograph, read_photograph
 from fgrecon.io.keypoint_file import Instance
 from fgrecon.io.keypoints.any_keypoints import parse_any_keypoints
@@ -140,7 +139,7 @@ class Reconstructor:
 
     @cached_property
     def _size_prior(self) -> SizePrior | None:
-        return None if self._size is None else named_size_prior(self._size)
+        return None if self._size is None else load_size_prior(self._size)
 
     @cached_property
     def _networks(self) -> tuple[NanodetVehicleDetector, KeypointCascade]:

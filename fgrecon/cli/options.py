@@ -232,8 +232,8 @@ class SceneOptions:
         str | None,
         typer.Option(
             metavar="FLEET",
-            help="How large vehicles are: kitti, kitti_traffic (with vans), apollo79, or length,width,height[,their "
-            "spreads] in m.",
+            help="How large vehicles are: kitti, kitti_traffic (with vans), apollo79, a JSON file of classes, or "
+            "length,width,height[,their spreads] in m.",
             show_default="as in the shape prior",
             autocompletion=FLEETS,
         ),
@@ -323,10 +323,11 @@ class LabelledScene:
             InvalidInputError: A value names nothing.
         """
         from fgrecon.calibration.setup import SceneKnowledge
-        from fgrecon.core.size_prior import size_prior
-        from fgrecon.io.catalogue import load_prior
+        from fgrecon.io.catalogue import load_prior, load_size_prior
 
-        return SceneKnowledge(prior=load_prior(self.prior), ground=self.plane()[0], size=size_prior(self.size_prior))
+        return SceneKnowledge(
+            prior=load_prior(self.prior), ground=self.plane()[0], size=load_size_prior(self.size_prior)
+        )
 
     def given(self) -> GivenScene:
         """What is given to the whole system of images: ground and fleet may be none.

@@ -37,11 +37,13 @@ class SizePrior:
             fleet.
         allowed: (3,) standard deviations that a solve allows, metres; None for `sigma`. Keypoints err together and
             count too much in a solve, so that less than the fleet's own may be best.
-        classes: Of vehicles that it is the sizes of; empty for a fleet's.
+        classes: Of vehicles that it is the sizes of, or that are in the fleet's traffic, the usual one first.
         own: (3, 3) covariance within a class, about the class's own mean, square metres: what covariances count where
             another class is counted beside it; None for that of `sigma`.
-        mixed: Whether the fleet's vans count as well as its cars: which a vehicle is, its image says
+        mixed: Whether all classes of the fleet count: of which a vehicle is, its image says
             (`fgrecon.solve.fitted_class`).
+        coarse: Name of the shape that stands for that of these classes, where no prior of cars has it.
+        class_sizes: Sizes and shares of the fleet's classes; None for the package's.
     """
 
     name: str
@@ -52,6 +54,8 @@ class SizePrior:
     classes: tuple[str, ...] = ()
     own: NDArray[np.float64] | None = None
     mixed: bool = False
+    coarse: str | None = None
+    class_sizes: ClassSizes | None = None
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -79,11 +83,6 @@ class SizePrior:
             if wide or not np.array_equal(moment, moment.T) or np.linalg.eigvalsh(moment)[0] <= 0.0:
                 raise InvalidInputError(f"size_prior.{field}", moment.tolist(), "Give a covariance, square metres.")
             object.__setattr__(self, field, own(moment))
-
-    @property
-    def larger(self) -> tuple[str, ...]:
-        """Classes of vehicles larger than cars and vans, whose shape no prior of these has."""
-        return tuple(one for one in self.classes if one not in _SMALL)
 
     @property
     def assumed_sigma(self) -> NDArray[np.float64]:
@@ -118,12 +117,15 @@ def other_fleets(mean: NDArray[np.float64]) -> NDArray[np.float64]:
     return correlation * np.outer(_FLEETS * mean, _FLEETS * mean)
 
 
-CLASSES = ("car", "van", "lorry", "bus", "tram")
-"""Classes of vehicles whose sizes are known, from the smallest to the largest."""
-
-_SMALL = frozenset({"car", "van"})  # whose pictures do not tell which they are
-
 _HEIGHT_ALLOWED = 0.5  # of a class's spread of height, in a solve: as of the fleet `kitti`, on whose cars it was chosen
+
+
+@dataclass(frozen=True)
+class ClassOdds:
+    """How probable a class is beside the usual one, nats, where a vehicle is solved as one of either."""
+
+    fleet: float  # logarithm of its odds where nobody says more
+    given: float = 0.0  # more where another program says of which class it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,13 +133,20 @@ class ClassSizes:
     """Sizes of vehicles by their class, and how classes of other programs are called."""
 
     name: str  # of the fleet that they were measured on
-    mean: Mapping[str, NDArray[np.float64]]  # (3,) mean length, width and height of each class, metres
+    mean: Mapping[str, NDArray[np.float64]]  # (3,) mean length, width and height of each class, the usual one first
     covariance: Mapping[str, NDArray[np.float64]]  # (3, 3) of each class, square metres
     share: Mapping[str, float]  # of each class among all, where nobody says which it is
+    odds: Mapping[str, ClassOdds]  # of each class, where its image says too
+    coarse: Mapping[str, str]  # name of the shape that stands for that of a class which no prior of cars has
     # probability of each class by another program's name for it, by its scheme and the name in lower case
     schemes: Mapping[str, Mapping[str, Mapping[str, float]]]
     # of a van against a car, in nats, by how much more the package's detector takes it for a truck: at 0, and for each
     detector_odds: tuple[float, float]
+
+    @property
+    def usual(self) -> str:
+        """The class of which vehicles are where nobody says more: the one that shape priors are of."""
+        return next(iter(self.mean))
 
     def detected(self, name: str, margin: float) -> dict[str, float]:
         """Probability of each class of a vehicle that the package's detector calls so, by COCO's names.
@@ -167,7 +176,7 @@ class ClassSizes:
         """
         if scheme not in self.schemes:
             raise InvalidInputError("vehicle_class.scheme", scheme, f"Give one of {', '.join(self.schemes)}.")
-        known, found = self.schemes[scheme], dict.fromkeys(CLASSES, 0.0)
+        known, found = self.schemes[scheme], dict.fromkeys(self.mean, 0.0)
         for name, probability in named.items():
             if (classes := known.get(name.lower())) is None:
                 raise InvalidInputError("vehicle_class", name, f"Names of {scheme} are {', '.join(known)}.")
@@ -176,36 +185,53 @@ class ClassSizes:
         left = max(0.0, 1.0 - sum(found.values()))
         return {one: value + left * self.share[one] for one, value in found.items()}
 
-    def size(self, probabilities: Mapping[str, float], car: SizePrior | None, *, any_fleet: bool) -> SizePrior:
+    def of_one_shape(self, probabilities: Mapping[str, float]) -> dict[str, float]:
+        """The probabilities of those classes that have the more probable shape."""
+        shapes = dict.fromkeys((self.coarse.get(one) for one in self.mean), 0.0)
+        for one, p in probabilities.items():
+            shapes[self.coarse.get(one)] += p
+        shape = max(shapes, key=shapes.__getitem__)
+        return {one: p for one, p in probabilities.items() if self.coarse.get(one) == shape}
+
+    def size(self, probabilities: Mapping[str, float], usual: SizePrior | None, *, any_fleet: bool) -> SizePrior:
         """The size of a vehicle that is of each class with a probability: mean and covariance of the mixture.
 
         One Gaussian for classes of similar size is what leaves the least error in the mean where the image does not
-        tell them apart. Between cars and vans, and what is larger, it does: the more probable of the two counts alone.
+        tell them apart. Classes of different shapes it does: those of the more probable shape count alone.
 
         Args:
             probabilities: By class.
-            car: Sizes of cars, where they are given by others than these; None for these.
+            usual: Sizes of the usual class, where they are given by others than these; None for these.
             any_fleet: Whether the vehicle may be of any fleet: what they differ by is added.
         """
         means, covariances = dict(self.mean), dict(self.covariance)
         if any_fleet:
             covariances = {one: value + other_fleets(means[one]) for one, value in covariances.items()}
-        if car is not None:
-            means["car"], covariances["car"] = car.mean, car.spread
-        small = sum(p for one, p in probabilities.items() if one in _SMALL) >= 0.5 * sum(probabilities.values())
-        likely = {one: p for one, p in probabilities.items() if p > 0.0 and (one in _SMALL) == small}
-        total = sum(likely.values())
+        if usual is not None:
+            means[self.usual], covariances[self.usual] = usual.mean, usual.spread
+        likely = {one: p for one, p in self.of_one_shape(probabilities).items() if p > 0.0}
+        total, shape = sum(likely.values()), self.coarse.get(next(iter(likely)))
         mean, covariance, within = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
         for one, p in likely.items():
             mean += p / total * means[one]
             within += p / total * covariances[one]
         for one, p in likely.items():
             covariance += p / total * (covariances[one] + np.outer(means[one] - mean, means[one] - mean))
-        own = covariance if not small else within  # classes of larger vehicles are not counted one beside the other
         sigma = np.sqrt(np.diag(covariance))
         name = ", ".join(f"{one} {p / total:.2f}" if len(likely) > 1 else one for one, p in likely.items())
-        moment, allowed = (covariance + covariance.T) / 2.0, sigma * np.array([1.0, 1.0, _HEIGHT_ALLOWED])
-        return SizePrior(name, mean, sigma, moment, allowed, tuple(likely), (own + own.T) / 2.0)
+        moment, own_moment = ((one + one.T) / 2.0 for one in (covariance, within))
+        allowed = sigma * np.array([1.0, 1.0, _HEIGHT_ALLOWED])
+        return SizePrior(name, mean, sigma, moment, allowed, tuple(likely), own_moment, coarse=shape)
+
+    def fleet(self) -> SizePrior:
+        """The fleet of these classes as often as each is: its size is that of the usual one, until an image says more.
+
+        Those of another shape than the usual one's are in it where another program says so.
+        """
+        traffic = self.size(self.share, None, any_fleet=False)
+        one = self.size({self.usual: 1.0}, None, any_fleet=False)
+        moment = traffic.spread + np.outer(traffic.mean - one.mean, traffic.mean - one.mean)
+        return replace(one, name=self.name, traffic=moment, classes=traffic.classes, mixed=True, class_sizes=self)
 
 
 _KITTI = SizePrior(
@@ -218,6 +244,7 @@ _KITTI = SizePrior(
     # Chosen on KITTI's video: what keypoints say of a car's height is what puts it nearer or farther. With half the
     # spread cars are 5 % less off on average (docs/history/size.md).
     np.array([0.44, 0.11, 0.07]),
+    ("car", "van"),
 )
 
 SIZE_PRIORS = {

@@ -16,9 +16,10 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import zipfile
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from functools import lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -34,19 +35,17 @@ from fgrecon.core.choices import ClassScheme
 from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
-from fgrecon.core.size_prior import ClassSizes
+from fgrecon.core.size_prior import SIZE_PRIORS, ClassOdds, ClassSizes, SizePrior, SizesLike, size_prior
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.arrays import read_arrays, write_arrays
 from fgrecon.io.files import write_text
 from fgrecon.io.integrity import check_hash
-from fgrecon.io.json_fields import parse_json, read_fields, within
-
-CUBOID = "cuboid14"
-"""Category of vehicles whose shape no prior has: a cuboid, on which `car14`'s keypoints lie."""
+from fgrecon.io.json_fields import Fields, parse_json, read_fields, within
 
 PRIOR_FORMAT = "fgrecon.shape_prior/1"
 _SURFACE = ("surface_mean", "surface_basis", "surface_faces")
 _ARRAYS = ("mean", "basis", "offset_sigma", "explained")
+_LEAST_SHARE = 1e-3  # of a class of vehicles in its odds
 
 
 def shipped_categories() -> tuple[str, ...]:
@@ -105,13 +104,17 @@ def class_of_kind(kind: str | None) -> VehicleClass | None:
 
 
 @lru_cache
-def shipped_cuboid(keypoints: tuple[str, ...]) -> ShapePrior | None:
-    """The coarse shape of vehicles that are no cars, with keypoints of these names; None where it has others.
+def coarse_prior(name: str, keypoints: tuple[str, ...]) -> ShapePrior | None:
+    """A coarse shape of vehicles that no prior has, with keypoints of these names; None where it has others.
 
     It is a cuboid of eight corners, each side of which is parted into cells, on which the keypoints lie.
+
+    Args:
+        name: Of its category.
+        keypoints: Names of the keypoints that vehicles have.
     """
-    data = _json(f"{CUBOID}.json", _folder("sizes").joinpath(f"{CUBOID}.json").read_bytes())
-    category = load_category(CUBOID)
+    data = _json(f"{name}.json", _folder("sizes").joinpath(f"{name}.json").read_bytes())
+    category = load_category(name)
     if category.keypoints != keypoints:
         return None
     length, width, height = data["size"]
@@ -143,15 +146,64 @@ def _side(corners: NDArray[np.float64], cells: Mapping[str, int]) -> tuple[NDArr
 def shipped_class_sizes() -> ClassSizes:
     """The sizes of classes of vehicles that come with fgrecon (`data/sizes/kitti.md`)."""
     data = _json("kitti.json", _folder("sizes").joinpath("kitti.json").read_bytes())
-    classes = data["classes"]
+    classes, detector = data["classes"], data["detector"]
+    share = {name: float(one["share"]) for name, one in classes.items()}
     return ClassSizes(
         name=data["name"],
         mean={name: np.array(one["mean"]) for name, one in classes.items()},
         covariance={name: np.array(one["covariance"]) for name, one in classes.items()},
-        share={name: float(one["share"]) for name, one in classes.items()},
+        share=share,
+        odds={
+            name: ClassOdds(**{"fleet": _by_share(name, share), **one.get("odds", {})}) for name, one in classes.items()
+        },
+        coarse={name: one["shape"] for name, one in classes.items() if "shape" in one},
         schemes=data["schemes"],
-        detector_odds=(data["detector"]["offset"], data["detector"]["slope"]),
+        detector_odds=(detector["offset"], detector["slope"]),
     )
+
+
+def _by_share(name: str, share: Mapping[str, float]) -> float:
+    """Log odds of a class beside the first one by how often both are; one that is not there is as a rare one."""
+    return math.log(max(share[name], _LEAST_SHARE) / share[next(iter(share))])
+
+
+@lru_cache(maxsize=16)  # one object for one text, so that what is prepared for it is found again
+def _fleet_from_json(source: str, content: bytes) -> SizePrior:
+    """A fleet by its classes, each with its share; what else a class does not say is as with the package's."""
+    known, given = shipped_class_sizes(), Fields(_json(source, content), f"{source}: ")
+    classes = given.inner("classes")
+    share, mean, covariance = dict.fromkeys(known.mean, 0.0), {**known.mean}, {**known.covariance}
+    for name in classes.data:
+        one = classes.inner(name)
+        share[name] = float(one.numbers("share", ()))
+        if name in known.mean and "mean" not in one:
+            continue
+        mean[name], covariance[name] = one.numbers("mean", (3,)), one.numbers("covariance", (3, 3))
+        with within(one.where):
+            SizePrior(name, mean[name], np.sqrt(np.diag(covariance[name]).clip(1e-8)), covariance[name])
+    if min(share.values()) < 0.0 or not share[known.usual] > 0.0:
+        fix = f"Give the share of each class, that of {known.usual} positive, and none negative."
+        raise InvalidInputError(f"{source}: classes", share, fix)
+    total = sum(share.values())
+    share = {name: value / total for name, value in share.items()}
+    odds = {name: ClassOdds(_by_share(name, share)) for name in share}
+    for name, other in known.odds.items():  # by as much more or less than its share
+        odds[name] = replace(other, fleet=other.fleet + odds[name].fleet - _by_share(name, known.share))
+    own = {**known.schemes["fgrecon"], **{name: {name: 1.0} for name in share}}
+    schemes = {**known.schemes, "fgrecon": own}
+    sizes = replace(known, name=given.get("name", str), mean=mean, covariance=covariance, share=share)
+    return replace(sizes, odds=odds, schemes=schemes).fleet()
+
+
+def load_size_prior(source: SizesLike | Path) -> SizePrior:
+    """A size prior by its name, by numbers (`fgrecon.core.size_prior.size_prior`), or a fleet from its JSON file.
+
+    Raises:
+        InvalidInputError: It is none of these, or a field of the file is wrong; names file and field.
+    """
+    if isinstance(source, Path) or (isinstance(source, str) and source.endswith(".json")):
+        return _fleet_from_json(str(source), _read(Path(source), "size_prior", tuple(SIZE_PRIORS)))
+    return size_prior(source)
 
 
 def save_prior(prior: ShapePrior, path: str | Path) -> Path:

@@ -12,8 +12,7 @@ from fgrecon.core.choices import BoxModel, ClassSource
 from fgrecon.core.options import BoxOptions, KeypointOptions, Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.core.size_prior import size_prior as named_size_prior
-from fgrecon.io.catalogue import load_prior, shipped_priors
+from fgrecon.io.catalogue import load_prior, load_size_prior, shipped_priors
 from fgrecon.io.integrity import file_hash
 
 
@@ -38,7 +37,7 @@ class RunSettings:
         return cls(
             prior=load_prior(prior),
             ground=ground,
-            size_prior=None if size_prior is None else named_size_prior(size_prior),
+            size_prior=None if size_prior is None else load_size_prior(size_prior),
             options=options,
             prior_file=None if prior in shipped_priors() else Path(prior).resolve(),
         )

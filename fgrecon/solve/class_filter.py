@@ -35,17 +35,19 @@ class ClassBelief:
         """By the first frame that says something."""
         return cls(classes, classes)
 
-    def updated(self, classes: Mapping[str, float], seconds: float, height: float, odds: float = 0.0) -> ClassBelief:
+    def updated(
+        self, classes: Mapping[str, float], seconds: float, height: float, odds: Mapping[str, float] | None = None
+    ) -> ClassBelief:
         """With what a frame says, as far as it counts so soon after the one before, and so small (pixels).
 
         Args:
             classes: Probability of each class by the frame.
             seconds: Since the frame before.
             height: Of the vehicle, pixels.
-            odds: Logarithm of a van's against a car's that are in what every frame says, and count once
+            odds: Log weights of classes that are in what every frame says, and count once
                 (`fgrecon.solve.fitted_class.FittedClass`).
         """
-        least, classes = SETTINGS.least_class_probability, _without(classes, odds)
+        least, classes = SETTINGS.least_class_probability, _without(classes, odds or {})
         weight = min(seconds / SETTINGS.class_correlation_s, 1.0) * min(height / SETTINGS.full_height_px, 1.0)
         both = {
             name: max(before, least) * max(classes.get(name, 0.0), least) ** weight
@@ -66,12 +68,11 @@ class ClassBelief:
         return replace(self, modelled=self.probability)
 
 
-def _without(classes: Mapping[str, float], odds: float) -> Mapping[str, float]:
-    """Probabilities without the odds of a van against a car that they were made with."""
-    if odds == 0.0:
-        return classes
-    either, car, van = classes["car"] + classes["van"], classes["car"], classes["van"] * math.exp(-odds)
-    return {**classes, "car": either * car / (car + van), "van": either * van / (car + van)}
+def _without(classes: Mapping[str, float], odds: Mapping[str, float]) -> Mapping[str, float]:
+    """Probabilities without the log weights that some of them were made with."""
+    without = {name: classes[name] * math.exp(-weight) for name, weight in odds.items()}
+    total, left = sum(classes[name] for name in odds), sum(without.values())
+    return {**classes, **{name: total * value / left for name, value in without.items()}}
 
 
 def with_model(vehicle: VehicleFilter, model: VehicleModel) -> VehicleFilter:

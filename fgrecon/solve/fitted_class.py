@@ -1,22 +1,26 @@
-"""Whether a vehicle is a car or a van, by its image too: solved as both, and how much better one explains it.
+"""Of which class a vehicle is, by its image too: solved as one of each that it may be, and how well each explains it.
 
 A fleet's vans that are taken for cars come out too near, and draw the ground that they share with all others along.
-Where a fleet has vans (`SizePrior.mixed`), or another program is not sure which of the two a vehicle is, it is solved
-by itself in either size first. The difference of the energies is added to what the program says, or else to how often
-vans are: its size is that of the mixture, as sure as that leaves it.
+Where a fleet has several classes (`SizePrior.mixed`), or another program is not sure of which one a vehicle is, it is
+solved by itself as each of them first. The differences of the energies are added to what the program says, or else to
+how often the classes are: its size is that of the mixture, as sure as that leaves it.
+
+Compared are classes of one shape. Between shapes, such as a prior's and a cuboid, energies say more of the shapes than
+of the vehicle (docs/history/size.md): there what the program says counts alone.
+
+Log weights of classes are nats beside the first class of a vehicle, which has none.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.vehicle_class import VehicleClass
-from fgrecon.io.catalogue import shipped_class_sizes
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.image_facing import single_pose
@@ -29,13 +33,13 @@ class FittedClass(VehicleClass):
     """Which class a vehicle is of by an image of it as well.
 
     Attributes:
-        odds: Logarithm of the odds of a van against a car that it has where the image says nothing. Those are the same
-            in all images of the vehicle, and count once.
+        odds: Log weight that each class has where the image says nothing. Those are the same in all images of the
+            vehicle, and count once.
     """
 
-    odds: float = 0.0
+    odds: Mapping[str, float] = field(default_factory=dict)
 
-    def __init__(self, probabilities: Mapping[str, float], odds: float) -> None:
+    def __init__(self, probabilities: Mapping[str, float], odds: Mapping[str, float]) -> None:
         """By classes of the package's own."""
         super().__init__(probabilities)
         object.__setattr__(self, "odds", odds)
@@ -44,7 +48,7 @@ class FittedClass(VehicleClass):
 def with_fitted_classes(
     observations: Sequence[Observation], camera: Camera, setup: SolveSetup, ground: Ground | None
 ) -> list[Observation]:
-    """Observations that know how probably their vehicles are cars and vans, where that is open.
+    """Observations that know how probably their vehicles are of each class, where that is open.
 
     Those of which somebody says the class for sure, or which cannot be solved by themselves, are as they were.
 
@@ -64,48 +68,72 @@ def with_fitted_classes(
 def _fitted(observation: Observation, camera: Camera, setup: SolveSetup) -> Observation:
     """An observation that knows of which class its vehicle is."""
     classes = setup.classes_of([observation])
-    if not (setup.fits_classes if classes is None else is_open(classes)):
+    energies = {name: _energy(observation, camera, setup, name) for name in open_classes(classes, setup)}
+    solved = {name: energy for name, energy in energies.items() if energy is not None}
+    if len(solved) < 2:
         return observation
-    odds, new = odds_before_image(classes)
-    classes = {"car": 1.0, "van": 0.0} if classes is None else classes
-    car, van = (_energy(observation, camera, setup, name) for name in ("car", "van"))
-    if car is None or van is None:
-        return observation
-    either = classes["car"] + classes["van"]
-    probability = either / (1.0 + math.exp(-log_odds_of_van(odds + new, car, van)))
-    known = FittedClass({**classes, "car": either - probability, "van": probability}, odds)
+    odds, given = odds_before_image([*solved], classes, setup)
+    classes = {next(iter(solved)): 1.0} if classes is None else classes
+    total = sum(classes.get(name, 0.0) for name in solved)
+    known = probabilities(with_energies({name: odds[name] + given[name] for name in odds}, solved), total)
     others = [one for one in observation.evidence if not isinstance(one, VehicleClass)]
-    return replace(observation, evidence=(*others, known))
+    return replace(observation, evidence=(*others, FittedClass({**classes, **known}, odds)))
 
 
-def is_open(classes: Mapping[str, float]) -> bool:
-    """Whether another program leaves open which of a car and a van a vehicle is."""
-    return min(classes["car"], classes["van"]) >= FITTED_CLASS.least_probability
-
-
-def odds_before_image(classes: Mapping[str, float] | None) -> tuple[float, float]:
-    """Log odds of a van against a car where the image says nothing, and of what another program says of it.
+def open_classes(classes: Mapping[str, float] | None, setup: SolveSetup, *, in_traffic: bool = False) -> list[str]:
+    """Names of the classes of which a vehicle may be, the usual one first; none where that is no question.
 
     Args:
-        classes: Probability of each class by other programs, which is open; None where they say nothing.
+        classes: Probability of each class by other programs; None where they say nothing.
+        setup: What holds for all vehicles of the call.
+        in_traffic: Whether the classes of a fleet's traffic count where nobody says more.
     """
+    if classes is not None:
+        alike, least = setup.class_sizes.of_one_shape(classes), FITTED_CLASS.least_probability
+        names = [name for name, probability in alike.items() if probability >= least]
+    else:
+        fleet = setup.fleet
+        counted = fleet is not None and (fleet.mixed or (in_traffic and fleet.traffic is not None))
+        names = [*fleet.classes] if fleet is not None and counted else []
+    return names if len(names) > 1 else []
+
+
+def odds_before_image(
+    names: Sequence[str], classes: Mapping[str, float] | None, setup: SolveSetup
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Log weights of classes where an image says nothing, and what another program says of them.
+
+    Args:
+        names: Of the classes, the first of which the others are beside.
+        classes: Probability of each by other programs; None where they say nothing.
+        setup: What holds for all vehicles of the call.
+    """
+    sizes = setup.class_sizes
+    odds = {name: sizes.odds[name].fleet for name in names}
     if classes is None:
-        return FITTED_CLASS.log_odds, 0.0
-    share = shipped_class_sizes().share
-    new = math.log(classes["van"] / classes["car"]) - math.log(share["van"] / share["car"])
-    return FITTED_CLASS.log_odds + FITTED_CLASS.given_log_odds, new
+        return _beside_first(odds), dict.fromkeys(names, 0.0)
+    first, least = names[0], FITTED_CLASS.least_probability
+    share = {name: max(sizes.share[name], least) for name in names}
+    given = {name: math.log(classes[name] / classes[first]) - math.log(share[name] / share[first]) for name in names}
+    return _beside_first({name: odds[name] + sizes.odds[name].given for name in names}), given
 
 
-def log_odds_of_van(odds: float, car: float, van: float) -> float:
-    """Log odds of a van against a car with what an image says.
+def with_energies(weights: Mapping[str, float], energies: Mapping[str, float]) -> dict[str, float]:
+    """Log weights of classes with what an image says: the least energies of the vehicle as one of each, nats."""
+    best, temper, most = min(energies.values()), FITTED_CLASS.energy_temper, FITTED_CLASS.most_nats
+    return _beside_first({name: weights[name] + temper * max(best - energies[name], -most) for name in energies})
 
-    Args:
-        odds: Those without it.
-        car: Energy of the vehicle as a car, nats.
-        van: And as a van.
-    """
-    most = FITTED_CLASS.most_nats
-    return odds + FITTED_CLASS.energy_temper * min(max(car - van, -most), most)
+
+def probabilities(weights: Mapping[str, float], total: float = 1.0) -> dict[str, float]:
+    """Probabilities of classes by their log weights beside the first, which add up to a total."""
+    (first, _), *others = weights.items()
+    found = {name: total / sum(math.exp(other - own) for other in weights.values()) for name, own in others}
+    return {first: max(total - sum(found.values()), 0.0), **found}
+
+
+def _beside_first(weights: Mapping[str, float]) -> dict[str, float]:
+    first = next(iter(weights.values()))
+    return {name: weight - first for name, weight in weights.items()}
 
 
 def _energy(observation: Observation, camera: Camera, setup: SolveSetup, name: str) -> float | None:

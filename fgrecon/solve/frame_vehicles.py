@@ -1,7 +1,7 @@
 """The vehicles of one frame: each looked at by itself, on what is known of the ground; then which way they face.
 
-Of the ground they tell what a car and a van in their place do, each as far as it is probable. A van that is taken for a
-car comes out too near and too high, and would draw the ground along for all.
+Of the ground they tell what a vehicle of each class that they may be of does in their place, as far as it is probable.
+A van that is taken for a car comes out too near and too high, and would draw the ground along for all.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.solve.class_filter import ClassBelief, with_model
-from fgrecon.solve.either_class import EitherClass, either_class, mean_log_odds
+from fgrecon.solve.either_class import EitherClass, either_class, mean_weights
 from fgrecon.solve.fitted_class import FittedClass
 from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
 from fgrecon.solve.ground_filter import CameraFrame, KnownGround
@@ -41,7 +41,7 @@ class FrameContext:
     time: float
     world_T_camera: gtsam.Pose3 | None
     known: KnownGround | None
-    either: EitherClass | None = None  # what a van instead of a car changes; None where its class is not open
+    either: EitherClass | None = None  # what another class changes; None where its class is not open
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class VehicleTrack:
     classes: ClassBelief | None = None  # of which class it is, by its frames; None where none says
 
     def recent_either_class(self, time: float) -> EitherClass | None:
-        """What a van in its place changes by a frame so shortly before that another one (seconds) shows no more."""
+        """What another class changes by a frame so shortly before that another one (seconds) shows no more."""
         last, begun = self.contexts[-1].either, time
         for context in reversed(self.contexts):
             if context.either is not last:
@@ -70,7 +70,7 @@ class FrameVehicles:
     updates: Mapping[int, VehicleUpdate]  # by id
     refused: Mapping[int, FgreconError]  # why others could not be looked at, by id
     classes: Mapping[int, ClassBelief | None]  # of which class each is, by id; None where nothing says
-    either: Mapping[int, EitherClass | None]  # what a van instead of a car changes in each; None where that is not open
+    either: Mapping[int, EitherClass | None]  # what another class changes in each; None where that is not open
     lower: Mapping[int, tuple[float, float]]  # than they are taken to stand, by id, as `EitherClass.lower`
 
     def poses(self) -> list[Array]:
@@ -145,19 +145,19 @@ def _lower(
         return None
     prior, place = update.frame.problem.model.prior, np.asarray(update.frame.pose.translation())
     size = prior.category.box_size(prior.keypoints(*update.shape))
-    return either.lower(place, size, ground.normal, van_odds(track, either))
+    return either.lower(place, size, ground.normal, class_weights(track, either))
 
 
-def van_odds(track: VehicleTrack | None, *more: EitherClass | None) -> float:
-    """Log odds that a vehicle is a van, by its frames and more."""
+def class_weights(track: VehicleTrack | None, *more: EitherClass | None) -> dict[str, float]:
+    """Log weights of the classes of a vehicle, by its frames and more."""
     known = () if track is None else track.contexts
-    return mean_log_odds([*(context.either for context in known), *more])
+    return mean_weights([*(context.either for context in known), *more])
 
 
 def _either_class(
     update: VehicleUpdate, track: VehicleTrack | None, belief: ClassBelief | None, frame: CameraFrame, setup: SolveSetup
 ) -> EitherClass | None:
-    """What a van instead of a car changes in a vehicle's frame, on the ground as it is given.
+    """What another class changes in a vehicle's frame, on the ground as it is given.
 
     The ground that vehicles share follows what they are taken for.
     """

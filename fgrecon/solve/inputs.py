@@ -26,9 +26,9 @@ from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.point_frames import check_points
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import CLASSES, SizePrior, SizesLike, check_size, other_fleets, size_prior
+from fgrecon.core.size_prior import ClassSizes, SizePrior, SizesLike, check_size, other_fleets
 from fgrecon.core.vehicle_class import VehicleClass
-from fgrecon.io.catalogue import load_prior, shipped_class_sizes, shipped_cuboid
+from fgrecon.io.catalogue import coarse_prior, load_prior, load_size_prior, shipped_class_sizes
 from fgrecon.io.image_size import scale_between
 from fgrecon.solve.proposals.point_term import measured_by
 from fgrecon.solve.vehicle.model import VehicleModel, in_traffic, prepare, sized
@@ -80,7 +80,7 @@ class SolveSetup:
             InvalidInputError: One of them cannot be used; names it, its value and the fix.
         """
         chosen, loaded = checked_options(options, joint=joint), load_prior(prior)
-        fleet = None if sizes is None else size_prior(sizes)
+        fleet = None if sizes is None else load_size_prior(sizes)
         if fleet is not None:
             check_size("size_prior", fleet.mean, _usual_size(loaded))
         model = prepare(loaded, fleet, chosen.shape.basis_vectors)
@@ -88,8 +88,14 @@ class SolveSetup:
 
     @property
     def fits_classes(self) -> bool:
-        """Whether the fleet has vans: images tell which vehicles of no class are (`fgrecon.solve.fitted_class`)."""
+        """Whether images tell of which class vehicles are that nobody says it of (`fgrecon.solve.fitted_class`)."""
         return self.fleet is not None and self.fleet.mixed
+
+    @property
+    def class_sizes(self) -> ClassSizes:
+        """Sizes and shares of classes: the fleet's, or the package's."""
+        known = None if self.fleet is None else self.fleet.class_sizes
+        return shipped_class_sizes() if known is None else known
 
     def model_of(self, observations: Sequence[Observation], cameras: Sequence[Camera]) -> VehicleModel:
         """The prior prepared for a vehicle: for the class that its observations say it is of, else for all.
@@ -114,8 +120,7 @@ class SolveSetup:
             return False
         return any(name not in self.options.disabled_terms for name in measured_by(observation, camera))
 
-    @staticmethod
-    def classes_of(observations: Sequence[Observation]) -> dict[str, float] | None:
+    def classes_of(self, observations: Sequence[Observation]) -> dict[str, float] | None:
         """Probability of each class by what observations say of a vehicle, averaged; None where they say nothing.
 
         Raises:
@@ -124,40 +129,45 @@ class SolveSetup:
         given = [one for observation in observations for one in observation.evidence if isinstance(one, VehicleClass)]
         if not given:
             return None
-        sizes = shipped_class_sizes()
+        sizes = self.class_sizes
         found = [sizes.probabilities(one.probabilities, one.scheme.value) for one in given]
-        return {name: float(np.mean([one[name] for one in found])) for name in CLASSES}
+        return {name: float(np.mean([one[name] for one in found])) for name in sizes.mean}
 
     def model_as(self, name: str) -> VehicleModel:
         """The prior prepared for a vehicle that is of a class for sure."""
-        return self.model_for({one: float(one == name) for one in CLASSES})
+        return self.model_for({one: float(one == name) for one in self.class_sizes.mean})
 
     def model_for(self, classes: Mapping[str, float]) -> VehicleModel:
         """The prior prepared for a vehicle that is of each class with a probability."""
         share = tuple((name, round(value, 2)) for name, value in classes.items())
-        return _of_class(self.prior, self.fleet, self.options.shape.basis_vectors, share)
+        return _of_class(self.prior, self.fleet, self.class_sizes, self.options.shape.basis_vectors, share)
 
 
 @lru_cache(maxsize=128)  # one object for one class, so that what is prepared for it is found again
 def _of_class(
-    prior: ShapePrior, fleet: SizePrior | None, basis_vectors: int | None, share: tuple[tuple[str, float], ...]
+    prior: ShapePrior,
+    fleet: SizePrior | None,
+    sizes: ClassSizes,
+    basis_vectors: int | None,
+    share: tuple[tuple[str, float], ...],
 ) -> VehicleModel:
     """The prior prepared for a vehicle of each class with a probability, in a fleet."""
-    sizes, probabilities = shipped_class_sizes(), dict(share)
+    probabilities = dict(share)
+    is_usual = probabilities[sizes.usual] == 1.0
     of_sizes = fleet is not None and (fleet.name == sizes.name or fleet.mixed)
     if fleet is None:
-        if probabilities["car"] == 1.0:
+        if is_usual:
             return prepare(prior, None, basis_vectors)
         usual, spread = _usual_size(prior), prior.category.dimension_operator
         basis = np.tensordot(spread, prior.basis, axes=((1, 2), (1, 2)))
         moment = basis @ basis.T + other_fleets(usual)
-        car: SizePrior | None = SizePrior(prior.name, usual, np.sqrt(np.diag(moment)), moment)
+        usual_size: SizePrior | None = SizePrior(prior.name, usual, np.sqrt(np.diag(moment)), moment)
     else:
-        car = None if of_sizes else fleet
-    if car is fleet is not None and probabilities["car"] == 1.0:
+        usual_size = None if of_sizes else fleet
+    if usual_size is fleet is not None and is_usual:
         return prepare(prior, fleet, basis_vectors)
-    size = sizes.size(probabilities, car, any_fleet=not of_sizes)
-    coarse = shipped_cuboid(prior.category.keypoints) if size.larger else None
+    size = sizes.size(probabilities, usual_size, any_fleet=not of_sizes)
+    coarse = None if size.coarse is None else coarse_prior(size.coarse, prior.category.keypoints)
     return sized(prepare(prior, None, basis_vectors) if coarse is None else prepare(coarse), size)
 
 

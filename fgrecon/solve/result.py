@@ -37,7 +37,6 @@ from fgrecon.core.result_fields import Regions
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import LONGEST, SHORTEST
 from fgrecon.core.text import counted
-from fgrecon.io.catalogue import CUBOID
 from fgrecon.solve.box_check import box_excess
 from fgrecon.solve.graph.covariance import Covariances, Spread, covariance_of, marginals_of, read_covariances
 from fgrecon.solve.graph.graph import Graph, GraphObservation
@@ -324,9 +323,9 @@ def _reasons(end: _End, box_size: Array, point_weights: Array) -> tuple[str, ...
         problem.ground,
         float(point_weights.sum()),
     )
-    if problem.model.size is not None and (larger := problem.model.size.larger):
-        coarse = "a cuboid" if category.name == CUBOID else f"a stretched {category.name}'s"
-        reasons = (*reasons, f"the shape of a {' or '.join(larger)} is {coarse}")
+    if (size := problem.model.size) is not None and size.coarse is not None:
+        coarse = "a cuboid" if category.name == size.coarse else f"a stretched {category.name}'s"
+        reasons = (*reasons, f"the shape of a {' or '.join(size.classes)} is {coarse}")
     return reasons
 
 

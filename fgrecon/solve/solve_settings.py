@@ -18,20 +18,15 @@ class FacingSettings:
 
 @dataclass(frozen=True)
 class FittedClassSettings:
-    """How much the energies of a car and a van say of which a vehicle is.
+    """How much the energies of a vehicle as one of either class say of which it is.
 
-    The share was fitted to the boxes of drives 0095, 0005 and 0013 (0.59). The odds were chosen on these and the five
-    others of KITTI's video and drives, where cars are no worse in the mean; the three alone have the least error at 0.
+    The share was fitted to the boxes of cars and vans of drives 0095, 0005 and 0013 (0.59).
     """
 
     energy_temper: float = 0.6  # share of a difference that counts: keypoints of one image err together
     most_nats: float = 15.0  # of a difference that counts
-    log_odds: float = -1.0  # of a van where both explain the image alike, and nobody else says more
-    given_log_odds: float = 0.75
-    """Of a van more, where another program says something: the middle between those with which the mean of the cars'
-    and of the vans' error is least on drives 0002, 0009, 0010 and 0095 of KITTI's, by the package's detector."""
-    least_probability: float = 1e-3  # of a car and of a van, which another program leaves open; not tuned
-    solved_images: int = 8  # of a track, spread over it, as a car and as a van for its covariances; not tuned
+    least_probability: float = 1e-3  # of a class that another program leaves open; not tuned
+    solved_images: int = 8  # of a track, spread over it, as one of each class for its covariances; not tuned
 
 
 @dataclass(frozen=True)

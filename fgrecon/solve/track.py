@@ -39,7 +39,7 @@ from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.solve.depth_scale import with_scales
-from fgrecon.solve.either_class import either_class, mean_log_odds
+from fgrecon.solve.either_class import either_class, mean_weights
 from fgrecon.solve.fitted_class import with_fitted_classes
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
@@ -131,7 +131,7 @@ def reconstruct_track(
 def _with_either_class(
     frames: Sequence[Reconstruction], parts: Sequence[GraphObservation], setup: SolveSetup
 ) -> list[Reconstruction]:
-    """The results with covariances for both classes, where that of the vehicle is open.
+    """The results with covariances for all classes, where that of the vehicle is open.
 
     Images of one vehicle say much the same of it: some of the track are solved, each takes what the nearest says.
     """
@@ -143,10 +143,10 @@ def _with_either_class(
         either_class(parts[i].problem, frames[i].camera_T_object, frames[i].shape.coefficients, setup, classes)
         for i in images
     ]
-    odds, found = mean_log_odds(solved), list(frames)
+    weights, found = mean_weights(solved), list(frames)
     for i in known:
         nearest = solved[int(np.abs(images - i).argmin())]
-        found[i] = frames[i] if nearest is None else nearest.added_to(frames[i], odds)
+        found[i] = frames[i] if nearest is None else nearest.added_to(frames[i], weights)
     return found
 
 

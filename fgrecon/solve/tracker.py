@@ -35,7 +35,7 @@ from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
 from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.fitted_class import with_fitted_classes
-from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, look_at_vehicles, van_odds
+from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, class_weights, look_at_vehicles
 from fgrecon.solve.graph.records import graph_factors
 from fgrecon.solve.ground_filter import CameraFrame, GroundFilter, KnownGround
 from fgrecon.solve.image_facing import couple_facings
@@ -346,14 +346,14 @@ class Tracker:
         vehicle = track.vehicle
         last = len(vehicle.solved.parts) - 1
         frame = vehicle.past[-1], track.contexts[-1]
-        return _estimates(name, {last: frame}, vehicle.solved, last + 1, van_odds(track))[0]
+        return _estimates(name, {last: frame}, vehicle.solved, last + 1, class_weights(track))[0]
 
     def _smoothed(self, name: int, track: VehicleTrack, frames: Sequence[Frame]) -> list[VehicleEstimate]:
         contexts = {frame.number: context for frame, context in zip(track.vehicle.past, track.contexts, strict=True)}
         found = []
         for solved, some, given in smooth(frames, track.vehicle.shape, self._model.motion, self._model.extra):
             selected = {index: (some[index], contexts[some[index].number]) for index in given}
-            found += _estimates(name, selected, solved, len(frames), van_odds(track))
+            found += _estimates(name, selected, solved, len(frames), class_weights(track))
         return found
 
 
@@ -365,9 +365,13 @@ def _box_excess(track: VehicleTrack) -> float:
 
 
 def _estimates(
-    name: int, frames: Mapping[int, tuple[Frame, FrameContext]], solved: WindowSolve, total: int, van_odds: float
+    name: int,
+    frames: Mapping[int, tuple[Frame, FrameContext]],
+    solved: WindowSolve,
+    total: int,
+    weights: Mapping[str, float],
 ) -> list[VehicleEstimate]:
-    """Of some frames that were solved together, by their places there, with the log odds that it is a van."""
+    """Of some frames that were solved together, by their places there, with the log weights of its classes."""
     single = len(solved.parts) == 1
     selected = [frame for frame, _ in frames.values()]
     facings = [frame.belief.facing(rotation_y(frame.pose.matrix())) for frame in selected]
@@ -394,7 +398,7 @@ def _estimates(
         moving = not single and solved.over_world[index] == (context.world_T_camera is not None)
         unsure = _on_known_ground(result, context.known)
         if context.either is not None:
-            unsure = context.either.added_to(unsure, van_odds)
+            unsure = context.either.added_to(unsure, weights)
         found.append(_estimate(name, frame, context, unsure, facing, total, (spread,) if moving else None))
     return found
 

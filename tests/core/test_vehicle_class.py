@@ -6,7 +6,7 @@ import pytest
 import fgrecon
 from fgrecon.core.choices import ClassScheme
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.size_prior import CLASSES, SIZE_PRIORS
+from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import shipped_class_sizes
 
 SIZES = shipped_class_sizes()
@@ -55,7 +55,7 @@ def test_every_scheme_is_there_and_has_whole_probabilities():
     assert {*SIZES.schemes} == {scheme.value for scheme in ClassScheme}
     for names in SIZES.schemes.values():
         for classes in names.values():
-            assert {*classes} <= {*CLASSES}
+            assert {*classes} <= {*SIZES.mean}
             assert sum(classes.values()) == pytest.approx(1.0, abs=1e-3)
 
 
@@ -70,7 +70,7 @@ def test_a_sure_class_has_its_size():
     assert van.name == "van"
     np.testing.assert_allclose(van.mean, SIZES.mean["van"])
     np.testing.assert_allclose(van.spread, SIZES.covariance["van"])
-    assert not van.larger
+    assert van.coarse is None
 
 
 def test_a_class_that_is_not_sure_is_a_mix_of_sizes():
@@ -89,8 +89,8 @@ def test_a_class_that_is_not_sure_is_a_mix_of_sizes():
 def test_a_size_is_that_of_cars_and_vans_or_of_what_is_larger_and_no_mean_of_these():
     small = SIZES.size({"car": 0.2, "van": 0.4, "lorry": 0.4}, None, any_fleet=False)
     large = SIZES.size({"car": 0.2, "lorry": 0.5, "bus": 0.3}, None, any_fleet=False)
-    assert (small.classes, small.larger) == (("car", "van"), ())
-    assert large.larger == ("lorry", "bus")
+    assert (small.classes, small.coarse) == (("car", "van"), None)
+    assert (large.classes, large.coarse) == (("lorry", "bus"), "cuboid14")
     assert small.mean[0] < 5.5 < 9.0 < large.mean[0]
 
 

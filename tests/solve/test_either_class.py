@@ -11,7 +11,7 @@ from fgrecon.calibration.regions import normalised_squared_error
 from fgrecon.core.geometry import position_covariance
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.either_class import either_class, mean_log_odds
+from fgrecon.solve.either_class import either_class, mean_weights
 from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.problem import Problem
 from tests.cars import CAMERA, observe, yaw_pose
@@ -95,7 +95,9 @@ def test_what_an_earlier_frame_says_is_along_the_ray_of_the_later_one(vehicles):
     before, after = (fgrecon.reconstruct(one, CAMERA, size_prior=OWN, ground=1.65) for one in reversed(vehicles))
     problem = Problem.of(vehicles[1], CAMERA, setup.model, setup.ground, setup.options)
     either = either_class(problem, before.camera_T_object, before.shape.coefficients, setup, None)
-    added = either.added_to(after, 0.0).uncertainty.pose_covariance - after.uncertainty.pose_covariance
+    added = (
+        either.added_to(after, {"car": 0.0, "van": 0.0}).uncertainty.pose_covariance - after.uncertainty.pose_covariance
+    )
     across = after.camera_T_object[:3, :3] @ np.linalg.eigh(added[3:, 3:])[1][:, -1]
     assert abs(across @ after.location) > 0.99 * np.linalg.norm(after.location)
     assert not abs(across @ before.location) > 0.99 * np.linalg.norm(before.location)
@@ -108,11 +110,11 @@ def test_it_stands_as_low_as_both_do_on_average(vehicles, taken_for, van):
     result = fgrecon.reconstruct(vehicles[1], CAMERA, size_prior=OWN, ground=1.65)
     problem = Problem.of(vehicles[1], CAMERA, setup.model, setup.ground, setup.options)
     either = either_class(problem, result.camera_T_object, result.shape.coefficients, setup, None)
-    size = either.car_size + taken_for * either.size
-    mean, sigma = either.lower(either.place, size, np.array([0.0, 1.0, 0.0]), np.log(van / (1.0 - van)))
-    heights, shares = np.array([0.0, either.move[1]]), np.array([1.0 - van, van])
-    assert either.move[1] > 0.2, "a van is farther away, and so is lower"
-    assert mean + taken_for * either.move[1] == pytest.approx(shares @ heights, abs=1e-3)
+    size = either.first_size + taken_for * either.sizes[0]
+    mean, sigma = either.lower(either.place, size, np.array([0.0, 1.0, 0.0]), {"van": np.log(van / (1.0 - van))})
+    heights, shares = np.array([0.0, either.moves[0, 1]]), np.array([1.0 - van, van])
+    assert either.moves[0, 1] > 0.2, "a van is farther away, and so is lower"
+    assert mean + taken_for * either.moves[0, 1] == pytest.approx(shares @ heights, abs=1e-3)
     assert sigma**2 == pytest.approx(shares @ (heights - shares @ heights) ** 2, abs=1e-3)
 
 
@@ -148,7 +150,7 @@ def test_a_class_that_the_first_frame_tells_stays(vehicles):
 
 
 def test_frames_that_say_nothing_leave_both_alike():
-    assert mean_log_odds([None]) == 0.0
+    assert mean_weights([None]) == {}
 
 
 def test_a_van_is_as_unsure_as_vans_are(vehicles):
@@ -157,9 +159,11 @@ def test_a_van_is_as_unsure_as_vans_are(vehicles):
     found = fgrecon.reconstruct(vehicles[0], CAMERA, size_prior=OWN, ground=1.65)
     problem = Problem.of(vehicles[0], CAMERA, setup.model, setup.ground, setup.options)
     either = either_class(problem, found.camera_T_object, found.shape.coefficients, setup, None)
-    way = either.size / np.linalg.norm(either.size)
-    there = replace(found, shape=replace(found.shape, box_size=either.car_size + either.size))
-    before, after = (way @ one.uncertainty.size_covariance @ way for one in (there, either.added_to(there, 30.0)))
+    way = either.sizes[0] / np.linalg.norm(either.sizes[0])
+    there = replace(found, shape=replace(found.shape, box_size=either.first_size + either.sizes[0]))
+    before, after = (
+        way @ one.uncertainty.size_covariance @ way for one in (there, either.added_to(there, {"van": 30.0}))
+    )
     van, car = (setup.model_as(name).size.own_spread for name in ("van", "car"))
     assert after - before == pytest.approx(way @ (van - np.diag(OWN.sigma**2)) @ way, rel=1e-6)
     assert way @ car @ way < way @ van @ way

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.selection import Selection
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.size_prior import CLASSES
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import read_images
 from fgrecon.io.kitti_files import parse_object
@@ -21,6 +20,15 @@ from fgrecon.perception.vehicles import VEHICLE_NAMES, NanodetVehicleDetector
 
 KITTI = {"Car": "car", "Van": "van", "Truck": "lorry", "Tram": "tram"}
 """Ours by KITTI's names."""
+
+CLASSES = ("car", "van", "lorry", "bus", "tram")
+"""Ours, the usual one first."""
+
+_FITTED: dict[str, dict[str, Any]] = {
+    "van": {"odds": {"fleet": -1.0, "given": 0.75}},
+    **{name: {"shape": "cuboid14"} for name in ("lorry", "bus", "tram")},
+}
+"""What was chosen of a class on drives (`fgrecon/data/sizes/kitti.md`)."""
 
 _NAMES = {
     "fgrecon": {name: name for name in CLASSES} | {"truck": "lorry"},
@@ -102,7 +110,7 @@ def class_sizes(labels: Path) -> dict[str, Any]:
     ratio = np.array(_BUS["mean"]) / np.array(found["lorry"]["mean"])
     spread = (np.array(found["lorry"]["covariance"]) * np.outer(ratio, ratio)).round(4).tolist()
     found["bus"] = {"count": 0, "share": 0.0, "covariance": spread, **_BUS}
-    return {name: found[name] for name in CLASSES}
+    return {name: {**found[name], **_FITTED.get(name, {})} for name in CLASSES}
 
 
 @dataclass(frozen=True)

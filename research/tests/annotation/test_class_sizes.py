@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.size_prior import CLASSES
 from fgrecon.io.catalogue import shipped_class_sizes
 from fgrecon.io.kitti_files import Objects
 from fgrecon_research.annotation import class_sizes
@@ -34,7 +33,7 @@ def labels(folder: Path, sizes: Mapping[str, tuple[float, float, float]] = SIZES
 
 def test_sizes_are_those_of_the_labels(tmp_path: Path) -> None:
     found = class_sizes.class_sizes(labels(tmp_path / "label_2"))
-    assert tuple(found) == CLASSES
+    assert tuple(found) == class_sizes.CLASSES
     assert found["car"]["mean"] == pytest.approx([4.3, 1.6, 1.7])
     assert found["lorry"]["count"] == 5
     assert sum(one["share"] for one in found.values()) == pytest.approx(1.0)
@@ -61,7 +60,7 @@ def test_labelled_vehicles_are_what_the_detector_sees(tmp_path: Path, monkeypatc
     monkeypatch.setattr(class_sizes, "Selection", lambda **_: SimpleNamespace(judge=lambda _: (np.arange(3), None)))
     seen = class_sizes.detected_vehicles([tmp_path])
     assert [(one.kind, one.numbers.shape) for one in seen] == [("car", (10, 4)), ("van", (10, 4))]
-    found = class_sizes.detector_classes(seen, dict.fromkeys(CLASSES, 0.2))
+    found = class_sizes.detector_classes(seen, dict.fromkeys(class_sizes.CLASSES, 0.2))
     assert found["car"]["car"] == pytest.approx((0.2 + 1 + 1) / 3, abs=1e-3)  # prior, meaning, one car
     assert found["truck"]["van"] == pytest.approx((0.2 + 1) / 3, abs=1e-3)
     assert found["truck"]["lorry"] == pytest.approx((0.2 + 1) / 3, abs=1e-3)
@@ -96,6 +95,7 @@ def test_the_command_writes_what_is_shipped(tmp_path: Path, monkeypatch: pytest.
     content = json.loads(out.read_text())
     shipped = shipped_class_sizes()
     assert tuple(content["classes"]) == tuple(shipped.mean)
+    assert {name: one["shape"] for name, one in content["classes"].items() if "shape" in one} == shipped.coarse
     assert set(content["schemes"]) == set(shipped.schemes)
     assert set(content["detector"]) == {"offset", "slope"}
     assert content["schemes"]["nuscenes"]["car"] == {"car": 0.5, "van": 0.5}
