@@ -188,10 +188,17 @@ def with_either_class(result: Reconstruction, problem: Problem, setup: SolveSetu
 
 
 def mean_weights(frames: Iterable[EitherClass | None]) -> dict[str, float]:
-    """Log weights of classes by frames of one vehicle; of none where none says anything."""
+    """Log weights of classes by frames of one vehicle; of none where none says anything.
+
+    Frames count that have the first class of the first of them, beside which all weights are.
+    """
     known = [one.weights for one in frames if one is not None]
-    names = dict.fromkeys(name for one in known for name in one)
-    each = {name: [one[name] for one in known if name in one] for name in names}
+    if not known:
+        return {}
+    first = next(iter(known[0]))
+    beside = [{name: own - one[first] for name, own in one.items()} for one in known if first in one]
+    names = dict.fromkeys(name for one in beside for name in one)
+    each = {name: [one[name] for one in beside if name in one] for name in names}
     return {name: sum(some) / len(some) for name, some in each.items()}
 
 

@@ -13,7 +13,7 @@ from fgrecon import VehicleClass
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import coarse_prior, load_prior, load_size_prior, shipped_class_sizes
 from fgrecon.io.kitti_drives import read_images
-from fgrecon.solve.either_class import EitherClass
+from fgrecon.solve.either_class import EitherClass, mean_weights
 from fgrecon.solve.fitted_class import (
     odds_before_image,
     open_classes,
@@ -65,6 +65,19 @@ def test_the_order_of_classes_does_not_matter(seed, count, total):
     assert {**other} == pytest.approx(found, abs=1e-12)
     shares = {name: np.exp(weights[name] - 0.6 * min(energies[name] - min(energies.values()), 15.0)) for name in names}
     assert found == pytest.approx({n: total * one / sum(shares.values()) for n, one in shares.items()}, abs=1e-12)
+
+
+@given(seed=SEEDS, count=st.integers(2, 5))
+def test_weights_of_frames_are_beside_one_class(seed, count):
+    """Frames need not begin with the same class: as where one of them has no pose as the usual one."""
+    draws, names, drawn_weights, _ = drawn(seed, count)
+    nothing = (np.zeros((count - 1, 3)), np.zeros(3), *[np.zeros((count - 1, 3))] * 5)
+    frames = []
+    for order in (names, draws.permutation(names).tolist()):
+        beside = {name: drawn_weights[name] - drawn_weights[order[0]] for name in order}
+        frames.append(EitherClass(beside, *nothing, np.zeros((count, count - 1))))
+    one, both = mean_weights(frames[:1]), mean_weights([frames[0], None, frames[1]])
+    assert probabilities(both) == pytest.approx(probabilities(one), abs=1e-12)
 
 
 @given(seed=SEEDS, count=st.integers(1, 5))
