@@ -164,7 +164,8 @@ class _Scene:
             fits = self.fit(turned, points @ turn.T, _USUAL_HEIGHTS, _UNITS.values())
             for unit, fit in zip(_UNITS, fits, strict=True):
                 explains = (decides & (fit > _LEAST) & (fit > _TIMES * given)).any() and (fit >= _KEPT * given).all()
-                explains &= self.is_met(fit)  # few points, which show neither ground nor vehicles, fit many ways somewhere
+                # Points in the image that show neither ground nor vehicles, as few do, fit many ways somewhere.
+                explains = explains and (given[0] < _MET[0] or self.is_met(fit))
                 score = float(fit @ _COUNTS) * (_KNOWN_FRAME if _ways(turn) in _KNOWN else 1.0)
                 score *= (_MIRRORED if np.linalg.det(turn) < 0.0 else 1.0) * (_OTHER_UNIT if unit else 1.0)
                 if explains and score > best:
