@@ -121,7 +121,7 @@ class Tracker:
         self._tracks: dict[int, VehicleTrack] = {}
         self._forgotten: list[float] = []  # how far the boxes of vehicles were off that were forgotten
         self._time = self._clock = -np.inf
-        self._latest: list[float] = []  # times of the last two frames
+        self._latest: list[float] = []  # times of the last two frames with vehicles
         self._cameras: list[tuple[Camera, gtsam.Pose3 | None]] = []  # of the last time
         self._drift = CameraDrift()
         self._one_call = Lock()
@@ -187,9 +187,10 @@ class Tracker:
             drift = self._drift.moved(place, moved)
             frame = CameraFrame(clock, used, plane, place, moved, drift, sensed=plane is not given)
             found = self._update(frame, time, observations, sensed, estimated=made)
-            if time > self._time and (line := interval_warning([*self._latest, time])) is not None:
-                warn(line, stacklevel=3)
-            self._latest = [*self._latest[-1:], time]
+            if observations:  # others follow nothing, and may be any time apart
+                if time > self._time and (line := interval_warning([*self._latest, time])) is not None:
+                    warn(line, stacklevel=3)
+                self._latest = [*self._latest[-1:], time]
             self._time, self._clock, self._cameras, self._drift = time, clock, cameras, frame.drift
             return found
 
