@@ -292,12 +292,12 @@ def check_size(field: str, size: NDArray[np.float64], usual: NDArray[np.float64]
 
     Raises:
         InvalidInputError: The category is longest along its axis, and this is not; or no vehicle of any class has so
-            many times each of its lengths.
+            many times each of its lengths, and in feet one has.
     """
     fix, given = "", size.tolist()
     if usual[0] > usual[1:].max() and size[0] < size[1:].max():
         fix = f"Give length, width, height, in metres and in this order: {_in_metres(usual)} is usual."
-    elif (size > _FEET * usual).all():
+    elif (size > _FEET * usual).all() and (_FOOT_M * size < _FEET * usual).all():
         fix = f"Give length, width, height in metres: {_in_metres(usual)} is usual, and these feet are "
         fix += f"{_in_metres(_FOOT_M * size)}."
     if fix:
