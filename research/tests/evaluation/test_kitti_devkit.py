@@ -13,7 +13,6 @@ from fgrecon.io.kitti_files import Objects
 from fgrecon_research.evaluation.kitti_devkit import (
     REGIMES,
     Space,
-    convex_intersection_area,
     evaluate,
     overlap,
     regime_members,
@@ -155,17 +154,15 @@ def test_overlaps_on_the_ground_and_in_volume_by_hand():
 
 
 @settings(deadline=None, max_examples=50, derandomize=True)
-@given(
-    st.floats(-3, 3), st.floats(-3, 3), st.floats(-np.pi, np.pi), st.floats(0.5, 4), st.floats(0.5, 4), st.booleans()
-)
-def test_intersections_agree_with_counting_points(x, y, angle, length, width, backwards):
-    rectangle = np.array([[1.0, 1], [1, -1], [-1, -1], [-1, 1]]) * [2.0, 1.0]
-    c, s = np.cos(angle), np.sin(angle)
-    corners = np.array([[1.0, 1], [1, -1], [-1, -1], [-1, 1]]) * [length / 2, width / 2]
-    other = corners @ np.array([[c, s], [-s, c]]) + [x, y]
+@given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-np.pi, np.pi), st.floats(0.5, 4), st.floats(0.5, 4))
+def test_intersections_agree_with_counting_points(x, z, angle, length, width):
+    rectangle = objects("Car 0 0 0 0 0 9 9 2 2 4 0 1 20 0")
+    other = objects(f"Car 0 0 0 0 0 9 9 2 {width} {length} {x} 1 {20 + z} {angle}")
     grid = np.stack(np.meshgrid(np.linspace(-2, 2, 161)[:-1] + 0.0125, np.linspace(-1, 1, 81)[:-1] + 0.0125), -1)
-    local = (grid - [x, y]) @ np.array([[c, -s], [s, c]])
+    c, s = np.cos(angle), np.sin(angle)
+    local = (grid - [x, z]) @ np.array([[c, s], [-s, c]])
     counted = (np.abs(local) <= [length / 2, width / 2]).all(axis=-1).mean() * 8.0
-    area = convex_intersection_area(rectangle, other[::-1] if backwards else other)
-    assert area == pytest.approx(counted, abs=0.15)
-    assert convex_intersection_area(other, rectangle) == pytest.approx(area, abs=1e-9)
+    shared = overlap(Space.GROUND, rectangle, other, of_first=True)[0, 0]
+    assert 8.0 * shared == pytest.approx(counted, abs=0.15)
+    backwards = overlap(Space.GROUND, other, rectangle, of_first=True)[0, 0]
+    assert backwards * length * width == pytest.approx(8.0 * shared, abs=1e-9)
