@@ -1,4 +1,4 @@
-"""The whole evaluation: runs everything that the page shows and puts it together."""
+"""The whole evaluation: runs everything and puts it together."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.core.arrays import Array
 from fgrecon.io.kitti_files import Objects
 from fgrecon.io.track_file import Track, read_track
 from fgrecon_research.evaluation.kitti_devkit import Space, evaluate
 from fgrecon_research.io.kitti_sets import count_defects, write_results
 from fgrecon_research.paper.apollocar3d import CONSISTENT, FEWEST_MARKS, MarkedCars, read_apollocar3d
 from fgrecon_research.paper.claims import Claim, claims
-from fgrecon_research.paper.keypoint_noise_fit import Residuals, read_vehicle, residuals
+from fgrecon_research.paper.keypoint_noise_fit import read_vehicle, residuals
 from fgrecon_research.paper.known_shape import (
     BASIS,
     KNOWN_SHAPE_OPTIONS,
@@ -25,16 +26,7 @@ from fgrecon_research.paper.known_shape import (
     example_cars,
     score_known_shapes,
 )
-from fgrecon_research.paper.network import NetworkScores, network_parts, network_table, parts_note, read_hand_labels
-from fgrecon_research.paper.plots import (
-    aop_plot,
-    error_curves,
-    known_shape_plot,
-    noise_plot,
-    per_part_plot,
-    per_part_table,
-    simulated_parts,
-)
+from fgrecon_research.paper.network import network_parts, network_table, parts_note, read_hand_labels
 from fgrecon_research.paper.simulated import Fleet
 from fgrecon_research.paper.simulated_run import (
     CONDITIONS,
@@ -54,6 +46,9 @@ from fgrecon_research.paper.tables import (
     known_shape_tables,
     mae_table,
     ms_table,
+    per_part_table,
+    row_label,
+    simulated_parts,
     stage_table,
 )
 from fgrecon_research.training.priors.apollo79 import Apollo79, load_apollo79
@@ -64,17 +59,25 @@ _NETWORK_PARTS = "APK of each part on Hard (real images, own network)"
 _PARTS_NOTE = (
     "Percent of the detected Hard cars whose keypoint projects within 0.1 of the box's longer side of the truth."
 )
-_SHOWN = ("initialisation", "epnp+size", "aspnp+size", "sqpnp_confident+size", "poselib_ransac+size", "aspnp_irls+size")
+_SHOWN = (
+    *("initialisation", "epnp+size", "aspnp+size", "sqpnp_confident+size", "poselib_ransac+size", "aspnp_irls+size"),
+    *("fgrecon+size", "joint"),
+)
+"""Methods whose errors are drawn."""
 
 
 @dataclass(frozen=True)
-class Page:
-    """What is shown."""
+class PaperEvaluation:
+    """What came out."""
 
     conditions: tuple[str, ...]  # what was run under which conditions, a paragraph each
     claims: tuple[Claim, ...]  # what the numbers say about the paper's claims
     tables: tuple[Table, ...]
-    plots: Mapping[str, str]  # SVG elements by caption
+    orientation: Mapping[str, Array]  # errors of the simulated Hard cars by method, degrees
+    known: KnownShapeScores  # of the real cars of known shape
+    # distances of keypoints from the truth over the longer side of the box, and which of them are visible, by what
+    # measured them
+    measured: Mapping[str, tuple[Array, NDArray[np.bool_]]]
     problems: Mapping[str, int]  # defects of the files, counted by kind, and
     defects: tuple[str, ...]  # each by name
     failures: tuple[str, ...]  # instances that some row failed on, with the reason
@@ -106,7 +109,9 @@ class _Inputs:
         )
 
 
-def evaluate_paper(settings: PaperSettings, advance: Callable[[str, int, int], None] = lambda *_: None) -> Page:
+def evaluate_paper(
+    settings: PaperSettings, advance: Callable[[str, int, int], None] = lambda *_: None
+) -> PaperEvaluation:
     """Run everything: the simulated set, the cars of known shape, real tracks and images, and run times.
 
     Args:
@@ -130,11 +135,13 @@ def evaluate_paper(settings: PaperSettings, advance: Callable[[str, int, int], N
     main, chain = outcomes["validation"], outcomes["chain"]
     solved, seconds = sum(o.solved for o in outcomes.values()), sum(o.seconds for o in outcomes.values())
     tables = _tables(inputs, settings, outcomes, known, measured)
-    return Page(
+    return PaperEvaluation(
         conditions=_conditions(settings, outcomes, inputs.validation),
         claims=claims(main.scores, main.condition.rows, chain.scores, chain.condition.rows),
         tables=tables,
-        plots=_plots(settings, main, known, measured.network, tables[0]),
+        orientation=_orientation(main),
+        known=known,
+        measured=_measured(settings, main.scores),
         problems=count_defects(inputs.validation.problems),
         defects=tuple(map(str, inputs.validation.problems)),
         failures=(*(f for o in outcomes.values() for f in o.scores.failures.tolist()), *known.failures),
@@ -181,26 +188,22 @@ def _tables(
     )
 
 
-def _plots(
-    settings: PaperSettings, main: ConditionResult, known: KnownShapeScores, network: NetworkScores, table_1: Table
-) -> dict[str, str]:
-    """SVG elements by caption."""
-    scores, rows, category = main.scores, main.condition.rows, settings.scene.prior.category
-    residuals = _network(settings.data, settings.scene)
+def _orientation(main: ConditionResult) -> dict[str, Array]:
+    """(M,) errors of the Hard cars, degrees, by what tables call the methods."""
+    scores, rows = main.scores, main.condition.rows
+    return {row_label(row): scores.orientation[scores.regimes[:, -1], rows.index(row)] for row in _SHOWN}
+
+
+def _measured(settings: PaperSettings, scores: Scores) -> dict[str, tuple[Array, NDArray[np.bool_]]]:
+    """How far measured keypoints are from the truth, and which are visible: the real network's and simulated ones."""
+    prior, detected = settings.scene.prior, scores.detection >= 0
+    paths = sorted((settings.data / _TRACK_FORMAT).glob("*.json"))
+    network = [residuals(read_vehicle(path, prior.category), prior) for path in paths]
+    away = np.concatenate([np.linalg.norm(one.errors, axis=2).ravel() for one in network])
     return {
-        "Hard cars within 5 degrees; grey: the paper's printed figures": aop_plot(table_1),
-        "Orientation error on Hard (simulated)": error_curves(scores, rows, (*_SHOWN, "fgrecon+size", "joint")),
-        _SIMULATED_PARTS: per_part_plot(simulated_parts(scores, rows), category),
-        _NETWORK_PARTS: per_part_plot(network_parts(network), category),
-        "Errors on real cars of known shape": known_shape_plot(known),
-        "Keypoints of the real network (solid) and simulated ones (dashed)": noise_plot(residuals, scores),
+        "network": (away, np.concatenate([one.visible.ravel() for one in network])),
+        "simulated": (scores.measured[detected].ravel(), scores.visible[detected].ravel()),
     }
-
-
-def _network(data: Path, scene: SceneKnowledge) -> list[Residuals]:
-    """What the network that the noise model is fitted to differs from the truth."""
-    paths = sorted((data / _TRACK_FORMAT).glob("*.json"))
-    return [residuals(read_vehicle(path, scene.prior.category), scene.prior) for path in paths]
 
 
 def _conditions(
@@ -211,27 +214,21 @@ def _conditions(
     share = "all parts" if settings.every == 1 else f"every {settings.every}th part"
     return (
         (
-            f"Simulated: {len(main)} cars of KITTI's validation images ({len(validation.frames)} frames read, "
-            f"{share}), at "
-            "their labelled poses and sizes. Each has the shape of one of the 79 car models, drawn at random and "
-            "scaled to "
-            "its label; keypoints, confidences and confusions are drawn from a noise model fitted to what a stacked-"
-            "hourglass network did on 76 frames of KITTI tracking; 2D boxes are a real detector's. A keypoint is "
-            "hidden by "
-            "the car itself, by other labelled objects, or by the image's border. The default prior is learnt from the "
-            "same "
-            "79 models: how it does on cars that it does not know is shown under 'known shape'."
+            f"Simulated: {len(main)} cars of KITTI's validation images ({len(validation.frames)} frames read, {share}) "
+            "at their labelled poses and sizes. Each has the shape of one of the 79 car models, drawn at random and "
+            "scaled to its label; keypoints, confidences and confusions are drawn from a noise model fitted to what a "
+            "stacked-hourglass network did on 76 frames of KITTI tracking; 2D boxes are a real detector's. A keypoint "
+            "is hidden by the car itself, by other labelled objects, or by the image's border. The default prior is "
+            "learnt from the same 79 models: how it does on cars that it does not know is shown under 'known shape'."
         ),
         (
             f"Given: fleet of {length:g} x {width:g} x {height:g} m on average, camera {scene.ground.distance:g} m "
-            f"above a "
-            f"level ground, prior {scene.prior.name}. Seed {settings.seed}."
+            f"above a level ground, prior {scene.prior.name}. Seed {settings.seed}."
         ),
         (
             "'Initialisation alone' stands for Mono3D's boxes, which are not to be had: the mean shape filling the "
-            "detected "
-            "2D box, at the true azimuth with an error of 8.5 degrees (1 sigma), anywhere on the circle in 7.5 % "
-            "of cars."
+            "detected 2D box, at the true azimuth with an error of 8.5 degrees (1 sigma), anywhere on the circle in "
+            "7.5 % of cars."
         ),
     )
 
@@ -289,10 +286,8 @@ def _kitti_table(validation: Validation, scores: Scores, rows: Sequence[str], ou
     columns = tuple(f"{regime} {points}" for regime in ("Easy", "Moderate", "Hard") for points in ("R11", "R40"))
     note = (
         f"{len(frames)} frames with a car that counts: the real detector's boxes and scores, with the poses that "
-        f"fgrecon "
-        "found from simulated keypoints. A detection of no labelled car has no pose; it is a false positive "
-        "whatever its "
-        "orientation."
+        "fgrecon found from simulated keypoints. A detection of no labelled car has no pose; it is a false positive "
+        "whatever its orientation."
     )
     return Table("kitti", "KITTI's own AP and AOS, cars (simulated keypoints)", note, columns, tuple(lines), decimals=2)
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.arrays import Array
+from fgrecon.core.category import Category
 from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, statistic_interval
 from fgrecon_research.evaluation.kitti_devkit import REGIMES
 from fgrecon_research.evaluation.measures import THRESHOLDS
@@ -145,6 +146,22 @@ def aop_table(key: str, title: str, scores: Scores, rows: Sequence[str], note: s
         lines.append((row_label(row), tuple(cells)))
     columns = tuple(f"{regime.name} ≤{threshold}°" for regime in REGIMES for threshold in THRESHOLDS)
     return Table(key, title, note, columns, tuple(lines), names)
+
+
+def simulated_parts(scores: Scores, rows: Sequence[str]) -> Mapping[str, Array]:
+    """APK of each keypoint over the detected Hard cars, percent (K,), as measured and by stage."""
+    used = scores.regimes[:, -1] & (scores.detection >= 0)
+    away = {"as measured": scores.measured} | {row: scores.reprojection[:, rows.index(row)] for row in STAGE_ROWS}
+    return {row_label(row): 100.0 * (values[used] <= APK_ALPHA).mean(axis=0) for row, values in away.items()}
+
+
+def per_part_table(key: str, title: str, note: str, shares: Mapping[str, Array], category: Category) -> Table:
+    """The paper's per-part figure as numbers: percent of each keypoint that is right (K,), by stage."""
+    lines = tuple(
+        (f"{k + 1} {name}", tuple(float(share[k]) for share in shares.values()))
+        for k, name in enumerate(category.keypoints)
+    )
+    return Table(key, title, note, tuple(shares), lines)
 
 
 def mae_table(key: str, title: str, scores: Scores, rows: Sequence[str], note: str, *, printed: bool = True) -> Table:

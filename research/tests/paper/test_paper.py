@@ -1,9 +1,7 @@
 """The paper's tables, claims and page from made-up scores whose results are known."""
 
 import json
-import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -12,23 +10,14 @@ from typer.testing import CliRunner
 from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_files import Objects
+from fgrecon.viz import save_picture
 from fgrecon_research.evaluation import report
 from fgrecon_research.evaluation.bootstrap import Interval
 from fgrecon_research.paper.claims import Claim, claims, decoupling_claim, irls_claim, ranking_claim
-from fgrecon_research.paper.keypoint_noise_fit import Residuals
+from fgrecon_research.paper.documents import document, markdown
 from fgrecon_research.paper.known_shape import KNOWN_SHAPE_ROWS, KnownShapeScores
 from fgrecon_research.paper.network import read_hand_labels
-from fgrecon_research.paper.page import document, html, markdown
-from fgrecon_research.paper.plots import (
-    aop_plot,
-    error_curves,
-    known_shape_plot,
-    noise_plot,
-    per_part_plot,
-    per_part_table,
-    simulated_parts,
-)
-from fgrecon_research.paper.run import Page, _posed
+from fgrecon_research.paper.run import PaperEvaluation, _posed
 from fgrecon_research.paper.simulated_scores import CHAIN_ROWS, MAIN_ROWS, Scores
 from fgrecon_research.paper.tables import (
     Table,
@@ -37,8 +26,11 @@ from fgrecon_research.paper.tables import (
     known_shape_tables,
     mae_table,
     ms_table,
+    per_part_table,
+    simulated_parts,
     stage_table,
 )
+from fgrecon_research.viz.paper_picture import paper_picture
 
 
 def made_up(rows, count=40, errors=None):
@@ -194,35 +186,31 @@ def test_cells_as_text_and_as_json():
 _DEFECTS = tuple(f"missing frame: {number:06d}" for number in range(25))
 
 
-def _network():
-    rng = np.random.default_rng(0)
-    visible = rng.random((20, 14)) < 0.5
-    errors = 0.03 * rng.standard_normal((20, 14, 2))
-    return Residuals(errors, np.ones((20, 14)), visible, np.ones((20, 14, 3)), np.ones((20, 14)))
+@pytest.fixture(scope="module")
+def tables(scores, known, scene):
+    category = scene.prior.category
+    return (
+        aop_table("table_1", "Table I", scores, MAIN_ROWS, "note <1>"),
+        ms_table({"fgrecon, pose stage": [1.0, 3.0]}, 0.5),
+        per_part_table("per_part", "Parts", "", simulated_parts(scores, MAIN_ROWS), category),
+        per_part_table("per_part_real", "Real parts", "", {"keypoint network": np.full(14, np.nan)}, category),
+        *known_shape_tables(known, ""),
+    )
 
 
 @pytest.fixture(scope="module")
-def page(scores, known, scene):
-    category = scene.prior.category
-    tables = (
-        aop_table("table_1", "Table I", scores, MAIN_ROWS, "note <1>"),
-        ms_table({"fgrecon, pose stage": [1.0, 3.0]}, 0.5),
-        per_part_table("parts", "Parts", "", simulated_parts(scores, MAIN_ROWS), category),
-        *known_shape_tables(known, ""),
-    )
-    plots = {
-        "bars": aop_plot(tables[0]),
-        "curves": error_curves(scores, MAIN_ROWS, ("aspnp+size", "joint")),
-        "parts": per_part_plot(simulated_parts(scores, MAIN_ROWS), category),
-        "shapes": known_shape_plot(known),
-        "noise": noise_plot([_network()], scores),
-    }
+def page(scores, known, tables):
+    hard = scores.orientation[scores.regimes[:, -1]]
+    orientation = {row: hard[:, MAIN_ROWS.index(row)] for row in ("aspnp+size", "joint")}
+    measured = {"simulated": (scores.measured.ravel(), scores.visible.ravel())}
     speed = {"instances": 30.0, "seconds": 10.0, "per_second": 3.0}
-    return Page(
+    return PaperEvaluation(
         ("conditions",),
         (Claim("a claim", ("A sentence.",)),),
         tables,
-        plots,
+        orientation,
+        known,
+        measured,
         {"missing frame": 5},
         _DEFECTS,
         ("000001:0: no luck",),
@@ -230,55 +218,22 @@ def page(scores, known, scene):
     )
 
 
-class _Elements(HTMLParser):
-    def __init__(self):
-        super().__init__()
-        self.open, self.seen, self.links = [], [], []
-
-    def handle_starttag(self, tag, attributes):
-        self.seen.append(tag)
-        self.links += [v for k, v in attributes if k in ("src", "href", "xlink:href") and not v.startswith("#")]
-        if tag not in ("meta", "br", "path", "use", "rect", "image", "link"):
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attributes):
-        self.handle_starttag(tag, attributes)
-        if self.open and self.open[-1] == tag:
-            self.open.pop()
-
-    def handle_endtag(self, tag):
-        if self.open and self.open[-1] == tag:
-            self.open.pop()
+def test_the_figure_draws_every_number(page, scores):
+    above, errors, noise, *parts = paper_picture(page).axes
+    assert [text.get_text() for text in above.get_yticklabels()] == [label for label, _ in page.tables[0].rows]
+    widths = [bar.get_width() for bar in above.patches]
+    assert widths == [getattr(cells[6], "value", cells[6]) for _, cells in page.tables[0].rows]
+    wanted = np.sort(scores.orientation[scores.regimes[:, -1], MAIN_ROWS.index("joint")])
+    np.testing.assert_array_equal(errors.lines[1].get_xdata(), wanted)
+    assert errors.lines[1].get_ydata()[-1] == 100.0
+    assert len(noise.lines) == 2
+    assert [len(axes.patches) for axes in parts[:2]] == [14 * len(table.columns) for table in page.tables[2:4]]
+    assert len(parts) == 5
 
 
-def test_the_page_stands_alone(page):
-    text = html(page)
-    elements = _Elements()
-    elements.feed(text)
-    assert elements.open == []
-    assert elements.links == []
-    assert elements.seen.count("svg") == 5
-    assert html(page, {"three cars": "<svg></svg>"}).count("<svg") == 6
-    assert elements.seen.count("table") == len(page.tables)
-    assert "note &lt;1&gt;" in text
-    assert "000001:0: no luck" in text
-    assert "missing frame: 5" in text
-    assert "3.0 a second" in text
-    assert "missing frame: 000003" in text
-    assert "Defect: 5 more" in text
-
-
-def test_the_contents_lead_to_every_part(page):
-    text = html(page)
-    led_to = re.findall(r'<li><a href="#([^"]+)">', text)
-    assert led_to == re.findall(r'<h2 id="([^"]+)">', text)
-    assert len(led_to) == len(set(led_to)) == len(page.tables) + 3
-    assert 'href="#cars"' in html(page, {"three cars": "<svg></svg>"})
-
-
-def test_the_same_numbers_give_the_same_plots(page, scores):
-    table = aop_table("table_1", "Table I", scores, MAIN_ROWS, "note <1>")
-    assert aop_plot(table) == page.plots["bars"]
+def test_the_same_numbers_give_the_same_picture(page, tmp_path):
+    first, second = (save_picture(tmp_path / name, paper_picture(page)).read_bytes() for name in ("a.svg", "b.svg"))
+    assert first == second
 
 
 def test_markdown_has_every_table_and_claim(page):

