@@ -60,6 +60,14 @@ def test_right_points_are_taken_with_vehicles_and_ground(boxes: list[np.ndarray]
     check_points(_street()[hidden], CAMERA, "points", ground, boxes)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_few_points_that_show_neither_ground_nor_vehicles_are_taken(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pixels = rng.uniform([0.0, 0.0], [1200.0, 160.0], (90, 2))  # a facade above the road and beside the cars
+    points = CAMERA.rays(pixels) * rng.uniform(5.0, 40.0, (90, 1))
+    check_points(points, CAMERA, "points", Ground.level(1.65), BOXES)
+
+
 @pytest.mark.parametrize(
     ("points", "message"),
     [
