@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.arrays import Array
-from fgrecon.core.checks import as_finite, one_word, own
+from fgrecon.core.checks import as_corners, as_finite, one_word, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_overlaps
 from fgrecon.core.repr import brief_repr
@@ -108,11 +108,7 @@ class Vehicles:
         Raises:
             InvalidInputError: A shape is wrong, a number is not finite, or a box has no size.
         """
-        fix = "Give two corners x1, y1, x2, y2 of each vehicle in pixels, no width and height."
-        boxes = as_finite("vehicles.boxes", self.boxes, (None, 4), fix)
-        empty = boxes[~(boxes[:, 2:] > boxes[:, :2]).all(axis=1)]
-        if len(empty):
-            raise InvalidInputError("vehicles.boxes", empty[0].tolist(), fix)
+        boxes = as_corners("vehicles.boxes", self.boxes, (None, 4))
         object.__setattr__(self, "boxes", own(boxes))
         object.__setattr__(self, "scores", own(as_finite("vehicles.scores", self.scores, (len(boxes),))))
         kinds = tuple(one_word(f"vehicles.kinds[{i}]", kind) for i, kind in enumerate(self.kinds))

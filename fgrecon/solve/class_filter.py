@@ -36,7 +36,7 @@ class ClassBelief:
         return cls(classes, classes)
 
     def updated(
-        self, classes: Mapping[str, float], seconds: float, height: float, odds: Mapping[str, float] | None = None
+        self, classes: Mapping[str, float], seconds: float, height: float, odds: Mapping[str, float]
     ) -> ClassBelief:
         """With what a frame says, as far as it counts so soon after the one before, and so small (pixels).
 
@@ -47,7 +47,7 @@ class ClassBelief:
             odds: Log weights of classes that are in what every frame says, and count once
                 (`fgrecon.solve.fitted_class.FittedClass`).
         """
-        least, classes = SETTINGS.least_class_probability, _without(classes, odds or {})
+        least, classes = SETTINGS.least_class_probability, _without(classes, odds)
         weight = min(seconds / SETTINGS.class_correlation_s, 1.0) * min(height / SETTINGS.full_height_px, 1.0)
         both = {
             name: max(before, least) * max(classes.get(name, 0.0), least) ** weight

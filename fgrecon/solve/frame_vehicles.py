@@ -204,8 +204,8 @@ def _belief(
         return replace(ClassBelief.first(classes), modelled={})
     place = observation.place
     height = 0.0 if place is None else float(place[3] - place[1])
-    odds = [one.odds for one in observation.evidence if isinstance(one, FittedClass)]
-    return track.classes.updated(classes, frame.time - track.last.time, height, *odds)
+    odds = next((one.odds for one in observation.evidence if isinstance(one, FittedClass)), {})
+    return track.classes.updated(classes, frame.time - track.last.time, height, odds)
 
 
 def _step(before: CameraFrame, now: CameraFrame) -> FrameStep:
