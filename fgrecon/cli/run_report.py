@@ -15,7 +15,7 @@ from rich.table import Table
 
 from fgrecon.cli.options import Viewer
 from fgrecon.cli.terminal import Advance, Screen, compact_table
-from fgrecon.core.text import counted
+from fgrecon.core.text import counted, most_frequent
 from fgrecon.io.files import write_text
 from fgrecon.io.run_settings import camera_to_dict, content_hash, settings_to_dict
 from fgrecon.io.source_frames import SourceFrame
@@ -27,6 +27,8 @@ from fgrecon.viz.film import LiveFilm, Showing, film, recorded, still
 from fgrecon.viz.sinks import start_viewer
 
 FORMAT = "fgrecon.run/1"
+
+_SHOWN_REASONS = 3  # of a status, in the table
 
 _FILM = "film.json"
 """In the folder of the results: what the film that was written last shows."""
@@ -173,13 +175,30 @@ def _text(path: Path) -> str | None:
 
 
 def table(run: VideoRun) -> Table:
-    """How the estimates ended."""
-    found = Counter(status.value for head in run.frames.heads for status in head.found.values())
-    refused = sum(len(head.identities) for head in run.frames.heads) - run.estimates
-    result = compact_table("status", "boxes")
-    for status, count in [*sorted(found.items()), *([("refused", refused)] if refused else [])]:
-        result.add_row(status, str(count))
+    """How the estimates ended, and the most frequent reasons."""
+    result = compact_table("status", "boxes", "why", text=("status", "why"))
+    for status, ended in _endings(run).items():
+        why = [f"{count} {reason}" for reason, count in ended["reasons"].items()]
+        result.add_row(status, str(ended["boxes"]), "\n".join(why[:_SHOWN_REASONS]))
     return result
+
+
+def _endings(run: VideoRun) -> dict[str, dict[str, Any]]:
+    """How many boxes ended in each status, and for which reasons how many, without their numbers."""
+    heads = run.frames.heads
+    found = Counter(status.value for head in heads for status in head.found.values())
+    refused = sum(len(head.identities) for head in heads) - run.estimates
+    return {
+        status: {"boxes": count, "reasons": dict(most_frequent(_reasons(run, status)))}
+        for status, count in [*sorted(found.items()), *([("refused", refused)] if refused else [])]
+    }
+
+
+def _reasons(run: VideoRun, status: str) -> Iterator[str]:
+    for head in run.frames.heads:
+        for identity, reasons in head.reasons.items():
+            if head.found[identity].value == status:
+                yield from reasons
 
 
 def details(run: VideoRun) -> list[str]:
@@ -206,6 +225,7 @@ def document(job: VideoJob, run: VideoRun) -> str:
         "smoothed": run.smoothed,
         "together": job.request.together and not job.request.alone,
         "estimates": run.estimates,
+        "statuses": _endings(run),
         "gaps": run.gaps,
         "left_out": run.left_out,
         "delay_seconds": dict(zip(("median", "p95", "most"), run.delay_quantiles or [None] * 3, strict=True)),

@@ -91,6 +91,8 @@ class InputWarning(StrEnum):
     """The result is in the air, or leans by tens of degrees."""
     FIT = "fit"
     """Hardly one fits the result."""
+    FACTORS = "factors"
+    """Factors of the caller's own contradict the image."""
     DEPTH = "depth"
     """By a depth map it is where it is not."""
 
@@ -114,12 +116,17 @@ _SENTENCES = {
     "air": "The results of {} are high up in the air, or lean by tens of degrees against the camera. Are the camera's "
     "intrinsics right, and the image upright? Of a camera that looks down give the ground.",
     "fit": "Hardly a keypoint of {} fits. Is their order the category's, and are left and right the vehicle's own?",
+    "factors": "Factors of yours (`extra_factors`) contradict what is known of {} without them. Are they in metres and "
+    "radians, in fgrecon's frames, and of this vehicle?",
     "depth": "The depth map puts {} where it is not, and is not used. Are its numbers metres along the camera's axis, "
     "and of this image? Else say what they are: scale, scale_and_shift, inverse.",
 }
 
 DEPTHS_ELSEWHERE = "depth: left out"
 """How `Diagnostics.left_out` begins to say so of a vehicle."""
+
+FACTORS_CONTRADICT = "factors of yours contradict"
+"""How a result's reason begins to say so."""
 
 
 REASONS = {
@@ -137,6 +144,7 @@ _BEFORE = frozenset(InputWarning) - {
     InputWarning.FAR,
     InputWarning.AIR,
     InputWarning.FIT,
+    InputWarning.FACTORS,
     InputWarning.DEPTH,
 }
 """What is warned of before a vehicle is solved, whose fit then says nothing more."""
@@ -347,6 +355,8 @@ def _check_rays(points: Array, camera: Camera) -> None:
 
 def result_warning_of(observation: Observation, result: Reconstruction) -> InputWarning | None:
     """What must be wrong with a vehicle's keypoints or its camera, if anything, by its result."""
+    if any(reason.startswith(FACTORS_CONTRADICT) for reason in result.reasons):
+        return InputWarning.FACTORS
     if result.diagnostics.mirrored_gain > SETTINGS.mirrored_gain_nats:
         return InputWarning.MIRRORED
     share = fit_share(observation, result.diagnostics.weights)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
+
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 def counted(count: int, thing: str, things: str | None = None) -> str:
@@ -14,6 +17,19 @@ def counted(count: int, thing: str, things: str | None = None) -> str:
         things: What several are called, where that is not the same with an s.
     """
     return f"{count} {thing if count == 1 else things or f'{thing}s'}"
+
+
+def without_numbers(text: str) -> str:
+    """A text with `n` for each number, which is the same for what differs by numbers alone."""
+    return _NUMBER.sub("n", text)
+
+
+def most_frequent(texts: Iterable[str]) -> list[tuple[str, int]]:
+    """The first of texts that differ by numbers alone, and how many these are; the most frequent first."""
+    alike: dict[str, list[str]] = {}
+    for text in texts:
+        alike.setdefault(without_numbers(text), []).append(text)
+    return [(some[0], len(some)) for some in sorted(alike.values(), key=len, reverse=True)]
 
 
 def printable(text: str, most: int = 4000) -> str:

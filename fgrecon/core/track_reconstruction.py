@@ -43,9 +43,9 @@ class TrackReconstruction:
     """Poses of one vehicle over several images, and its one shape.
 
     Attributes:
-        status: How it ended: `degenerate` or `failed` where that is so, else `ambiguous` where a frame is, else
-            `weak` where all are.
-        message: Why, in a sentence.
+        status: How it ended: `failed`, `degenerate` or `ambiguous` where a frame is, else `weak` where half of them
+            are.
+        message: Why, in a sentence, with how many frames are weak and the most frequent reason.
         numbers: T indices of the observations that were solved, in order.
         frames: T results, all with the same shape; energies and history hold the terms of the frame alone.
         refused: Why the other observations were refused, by index.

@@ -19,6 +19,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
+from fgrecon.solve.contradiction import with_contradictions
 from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.either_class import with_either_class
 from fgrecon.solve.fitted_class import with_fitted_classes
@@ -118,6 +119,9 @@ def reconstruct(
     adjusted = minimise_from_proposals(parts, [pose], factors)
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (perf_counter() - posed) * 1e3}
     result = results(parts, [pose], adjusted, milliseconds, factors)[0]
+    if factors:
+        alone = minimise_from_proposals(parts, [pose])
+        (result,) = with_contradictions([result], adjusted.ended, alone.ended)
     result = with_either_class(result, problem, setup, adjusted.optimum)
     result = with_mirrored_gain(result, problem)
     if observed.warning is None:

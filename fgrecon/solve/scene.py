@@ -39,6 +39,7 @@ from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.solve.box_check import boxes_off, boxes_warning
+from fgrecon.solve.contradiction import with_contradictions
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.either_class import with_either_class
 from fgrecon.solve.focal import candidates, distinct_lengths, energies_of, focal_prior, log_ratio, starts
@@ -331,7 +332,7 @@ def _solved(begun: Sequence[IndependentSolve], images: _Images) -> _Estimate | N
         if not joint:
             return None
         best = min(joint, key=lambda one: one.optimum.energy)
-        scene = _estimate(best, joint, images.camera)
+        scene = _contradicted(_estimate(best, joint, images.camera), best, images, out)
         if scene.determined:
             return scene
         left_open = undetermined(best.graph, best.optimum.values, best.optimum.state.weights)
@@ -340,8 +341,23 @@ def _solved(begun: Sequence[IndependentSolve], images: _Images) -> _Estimate | N
         out |= left_open
 
 
-def _solve_jointly(independent: IndependentSolve, images: _Images, out: Collection[int]) -> _JointSolve | None:
-    """The joint solve without some vehicles; None where there is nothing to solve together, or it gave up."""
+def _contradicted(scene: _Estimate, best: _JointSolve, images: _Images, out: Collection[int]) -> _Estimate:
+    """The estimate, its vehicles weak where factors of the caller's own contradict the image."""
+    alone = _solve_jointly(best.independent, images, out, own=False) if images.extra else None
+    if alone is None:
+        return scene
+    ends = (best.graph, best.optimum), (alone.graph, alone.optimum)
+    found = with_contradictions([*scene.results.values()], *ends)
+    return replace(scene, results=dict(zip(scene.results, found, strict=True)))
+
+
+def _solve_jointly(
+    independent: IndependentSolve, images: _Images, out: Collection[int], *, own: bool = True
+) -> _JointSolve | None:
+    """The joint solve without some vehicles; None where there is nothing to solve together, or it gave up.
+
+    `own` says whether with the caller's factors.
+    """
     known, options = images.camera, images.setup.options
     solved = {number: one for number, one in independent.solved.items() if number not in out}
     standing = _standing(solved, images)
@@ -371,8 +387,8 @@ def _solve_jointly(independent: IndependentSolve, images: _Images, out: Collecti
         weights=[state.weights[0] for state in states],
         others=others,
     )
-    own = images.extra_without(images.numbers - solved.keys())
-    extra = [*(contact for one in standing.values() for contact in one.contacts.values()), *priors, *own]
+    extra = [*(contact for one in standing.values() for contact in one.contacts.values()), *priors]
+    extra += images.extra_without(images.numbers - solved.keys()) if own else []
     graph = Graph(parts, state, pose_free=True, extra=extra)
     optimum = optimise(graph, state, steady=SCENE.joint_visibility_step)
     if optimum.failure is not None:

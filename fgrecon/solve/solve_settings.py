@@ -161,6 +161,10 @@ class StatusSettings:
     """Standard deviation of a focal length's logarithm: beyond, distances are off by more than the 20 % that count as
     wrong more often than those of other results that converged."""
     open_focal_log: float = 0.3  # beyond, half of the distances are wrong
+    contradicted_nats: float = 8.0
+    """By which image and shape prior fit worse with factors of the caller's own than without, if they contradict them.
+    Chosen with the labels' motions and distances on drives 0001 and 0006 of KITTI's tracking set, tested on three."""
+    contradicted_median_nats: float = 5.0  # the same of several images of a vehicle, whose median it is
     # 2D boxes of several vehicles
     box_vehicles: int = 5  # that it takes to say something
     box_excess: float = 0.05  # that is usual: the package's own sources have -3 to 2 % on KITTI's video

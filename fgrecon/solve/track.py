@@ -36,8 +36,10 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
+from fgrecon.core.text import most_frequent
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.core.vehicle_class import VehicleClass
+from fgrecon.solve.contradiction import with_contradictions
 from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.either_class import either_class, mean_weights
 from fgrecon.solve.fitted_class import with_fitted_classes
@@ -108,6 +110,9 @@ def reconstruct_track(
     adjusted = minimise_from_proposals(parts, starts, factors, in_order=in_order)
     milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
     frames = _with_either_class(results(parts, starts, adjusted, {}, factors), parts, setup)
+    if factors:
+        alone = minimise_from_proposals(parts, starts, in_order=in_order)
+        frames = with_contradictions(frames, adjusted.ended, alone.ended)
     frames = [with_mirrored_gain(one, part.problem) for part, one in zip(parts, frames, strict=True)]
     for part, one in zip(parts, frames, strict=True):
         warnings.add_result(f"image {part.image}", part.problem.observation, one)
@@ -225,7 +230,7 @@ def _model(looked: Sequence[tuple[Observation, Camera, SolveSetup]], setup: Solv
 
 
 def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[Status, str]:
-    """The worst of the frames, and how many images there are."""
+    """The worst of the frames, `weak` where half of them are; how many images there are, and how many are weak."""
     count = f"{len(results)} images share one shape" if len(results) > 1 else "1 image determines the shape"
     left_out = f", {len(refused)} {'was' if len(refused) == 1 else 'were'} refused" if refused else ""
     for status in (Status.FAILED, Status.DEGENERATE, Status.AMBIGUOUS):
@@ -233,6 +238,11 @@ def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[
         if members:
             where = f"{len(members)} of {len(results)} are {status.value}"
             return status, f"{count}{left_out}; {where}: {members[0].message}"
-    if all(result.status is Status.WEAK for result in results):
-        return Status.WEAK, f"{count}{left_out}; all are weak: {results[0].message}"
-    return Status.CONVERGED, f"{count}{left_out}; the joint optimisation found a minimum."
+    weak = [result for result in results if result.status is Status.WEAK]
+    why = ""
+    if weak:
+        (reason, number), *_ = most_frequent(reason for result in weak for reason in result.reasons)
+        why = f"{len(weak)} of {len(results)} {'is' if len(weak) == 1 else 'are'} weak, {number} since {reason}"
+    if 2 * len(weak) >= len(results):
+        return Status.WEAK, f"{count}{left_out}; {why}."
+    return Status.CONVERGED, f"{count}{left_out}; the joint optimisation found a minimum{why and f', {why}'}."

@@ -33,6 +33,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
+from fgrecon.solve.contradiction import with_contradictions
 from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.fitted_class import with_fitted_classes
 from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, class_weights, look_at_vehicles
@@ -386,6 +387,9 @@ def _estimates(
     reconstructions = results(
         solved.parts, solved.starts, adjusted, {}, solved.extra, only=frames, facing=by_frame, marginalised=known
     )
+    if solved.without is not None:
+        ends = adjusted.ended, solved.without.ended
+        reconstructions = with_contradictions(reconstructions, *ends, [*frames])
     if not single:
         pairs = zip(selected, reconstructions, strict=True)
         reconstructions = [with_facing_over_time(result, frame.given) for frame, result in pairs]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import pickle
+import sys
 import tempfile
 import weakref
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,6 +24,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.history import LazyFields
 from fgrecon.core.result_fields import Status
 from fgrecon.core.shape_prior import ShapePrior, Surface
+from fgrecon.core.text import without_numbers
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.video.follow import TrackedFrame
 
@@ -41,6 +43,7 @@ class FrameHead:
     place: NDArray[np.float64] | None  # (3,) of the camera in the world; None where it is not known
     identities: tuple[int, ...]  # the vehicles that were detected in it
     found: dict[int, Status] = field(default_factory=dict)  # how the estimate of each ended, by id
+    reasons: dict[int, tuple[str, ...]] = field(default_factory=dict)  # and why so, without numbers
 
 
 class FrameStore(Sequence[TrackedFrame]):
@@ -88,7 +91,10 @@ class FrameStore(Sequence[TrackedFrame]):
 
     def _keep(self, index: int, identity: int, estimate: VehicleEstimate) -> None:
         self._places[index][1][identity] = self._write(estimate)
-        self.heads[index].found[identity] = estimate.reconstruction.status
+        result, head = estimate.reconstruction, self.heads[index]
+        head.found[identity] = result.status
+        why = result.reasons or (() if result.status is Status.CONVERGED else (result.message,))
+        head.reasons[identity] = tuple(sys.intern(without_numbers(reason)) for reason in why)
 
     def __len__(self) -> int:
         """Number of frames."""

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -82,6 +83,22 @@ def test_its_tables_agree(whole):
     document = json.loads((out.parent / "run.json").read_text())
     assert document["tracks"] == [{"id": i, "frames": 8, "first": 3, "last": 11} for i in (10, 11)]
     assert (document["estimates"], document["stopped"]) == (len(rows), False)
+
+
+def test_the_most_frequent_reasons_are_told(whole):
+    """By the frames, which have all of them with their numbers."""
+    out, said = whole
+    frames = [json.loads(text) for text in (out / "frames.jsonl").read_text().splitlines()]
+    rows = [vehicle["result"] for frame in frames for vehicle in frame["vehicles"]]
+    statuses = json.loads((out.parent / "run.json").read_text())["statuses"]
+    assert {name: one["boxes"] for name, one in statuses.items()} == Counter(row["status"] for row in rows)
+    assert any(one["reasons"] for one in statuses.values())
+    for name, one in statuses.items():
+        of_status = [reason for row in rows if row["status"] == name for reason in row["reasons"]]
+        assert one["reasons"] == Counter(re.sub(r"[0-9.]+", "n", reason) for reason in of_status)
+        assert [*one["reasons"].values()] == sorted(one["reasons"].values(), reverse=True)
+        for reason, count in [*one["reasons"].items()][:3]:
+            assert f"{count} {reason}"[:30] in said
 
 
 def export(out, name, *options):

@@ -22,9 +22,9 @@ from tests.settings import options as make_options
 from tests.solve.graph.support import energy_of, half_a_car, problem_of, solve
 
 
-def distance(metres, sigma, image=0):
+def distance(metres, sigma, image=0, vehicle=0):
     """|t| - metres, of the car in an image."""
-    key = X(0, image)
+    key = X(vehicle, image)
 
     def callback(values, _):
         pose = values.atPose3(key)
@@ -199,6 +199,7 @@ def test_offsets_can_be_meant():
     np.testing.assert_allclose(result.shape.offsets.ravel(), wanted, atol=1e-3)
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.core.errors.ContradictoryInputWarning")
 def test_at_a_fixed_pose_those_on_it_are_refused(seen):
     options = make_options(joint=False)
     plain = reconstruct(seen, CAMERA, options=options)

@@ -180,6 +180,17 @@ def test_without_history_nothing_is_kept(car):
     assert track.energies == kept.energies
 
 
+@pytest.mark.parametrize(("cut", "status"), [(1, "converged"), (2, "weak"), (4, "weak")])
+def test_a_track_is_weak_where_half_of_its_images_are(car, cut, status):
+    """So many of four images show a half of the car's keypoints and no more, which carry too little."""
+    _, seen = drive(car, np.random.default_rng(1), count=4)
+    few = [replace(one, confidence=np.where(np.arange(14) < 4, one.confidence, 0.0)) for one in seen]
+    track = reconstruct_track([*few[:cut], *seen[cut:]], KITTI_CAMERA, ground=1.65)
+    assert [frame.status.value for frame in track.frames] == ["weak"] * cut + ["converged"] * (4 - cut)
+    assert track.status.value == status
+    assert f"{cut} of 4 {'is' if cut == 1 else 'are'} weak, {cut} since the detector holds" in track.message
+
+
 def test_what_cannot_be_solved_is_refused(car):
     _, seen = drive(car, np.random.default_rng(3), count=2)
     with pytest.raises(DegenerateProblemError, match="no pose in any image"):

@@ -59,6 +59,11 @@ class MultiStartResult:
         return self.stages[-1].graph
 
     @property
+    def ended(self) -> tuple[Graph, Optimum]:
+        """The graph of the last stage, and its end."""
+        return self.graph, self.optimum
+
+    @property
     def settled_energy(self) -> float:
         """Energy at the visibility of the end's own poses, nats.
 

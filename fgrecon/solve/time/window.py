@@ -69,6 +69,7 @@ class WindowSolve:
     # whether the vehicle stands in all of them, or drives; None where that is not certain
     stands: bool | None = None
     rates: tuple[gtsam.NonlinearFactor, ...] = ()  # of the factors those of range rates
+    without: MultiStartResult | None = None  # the same without the caller's own factors; None where there are none
 
     def moved(self, frames: Sequence[Frame]) -> list[Frame]:
         """The frames where they ended."""
@@ -136,6 +137,21 @@ def solve_window(
         extra: Makes factors of the caller's own for each step; or None.
         stands: Whether the vehicle stands, where that is known already; None where it is to be found out.
     """
+    found = _solve_window(frames, shape, model, max_iterations, extra, stands)
+    if extra is None:
+        return found
+    return replace(found, without=_solve_window(frames, shape, model, max_iterations, None, stands).adjusted)
+
+
+def _solve_window(
+    frames: Sequence[Frame],
+    shape: ShapeValues,
+    model: MotionModel,
+    max_iterations: int | None,
+    extra: MotionFactors | None,
+    stands: bool | None,
+) -> WindowSolve:
+    """The frames together, standing or driving by what explains them better."""
     between, rates = _between_factors(frames, model), _range_rates(frames)
 
     def solved(known: bool | None) -> WindowSolve:

@@ -1,0 +1,75 @@
+"""Whether factors of the caller's own contradict images and shape prior: how much worse these fit than without them.
+
+Right factors bring an image from its minimum to the truth, which costs a few nats. Wrong ones cost more: they bring it
+to a pose that it does not show, or make the vehicle larger or smaller than such are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from statistics import median
+
+from factors.keys import decode_key
+from fgrecon.core.input_warnings import FACTORS_CONTRADICT
+from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.solve.graph.graph import EXTRA, Graph
+from fgrecon.solve.graph.optimise import Optimum
+from fgrecon.solve.result import weakened
+from fgrecon.solve.solve_settings import STATUS
+
+Ended = tuple[Graph, Optimum]
+"""A graph, and its minimum."""
+
+_SHAPE = "LOPM"
+
+
+def with_contradictions(
+    found: Sequence[Reconstruction], ended: Ended, without: Ended, indices: Sequence[int] | None = None
+) -> list[Reconstruction]:
+    """The results, weak where factors of the caller's own contradict the images.
+
+    Args:
+        found: Results of observations of a graph with such factors.
+        ended: That graph, and its end.
+        without: The graph of the same observations without the factors, and its end.
+        indices: Which observations the results are of; None for all.
+    """
+    if ended[1].failure is not None or without[1].failure is not None:
+        return [*found]
+    known = _vehicles_of_shape_factors(ended[0])
+    with_them, alone = _energies(*ended, known), _energies(*without, known)
+    vehicles = [part.vehicle.number for part in ended[0].observations]
+    lost = [one - other for one, other in zip(with_them, alone, strict=True)]
+    results = []
+    for i, result in zip(range(len(lost)) if indices is None else indices, found, strict=True):
+        usual = median(nats for nats, number in zip(lost, vehicles, strict=True) if number == vehicles[i])
+        reason = ""
+        if lost[i] > STATUS.contradicted_nats:
+            reason = f"{FACTORS_CONTRADICT} image and shape prior, which fit worse by {lost[i]:.0f} nats"
+        elif vehicles.count(vehicles[i]) > 1 and usual > STATUS.contradicted_median_nats:
+            reason = f"{FACTORS_CONTRADICT} half of its images, which fit worse by {usual:.0f} nats and more"
+        if reason and not result.status.settled:
+            result = replace(result, message=f"{result.message} {reason[0].upper()}{reason[1:]}.")
+        results.append(weakened(result, (reason,) if reason else ()))
+    return results
+
+
+def _vehicles_of_shape_factors(graph: Graph) -> set[int]:
+    """Numbers of the vehicles about whose shape the caller knows more than the prior."""
+    keys = [decode_key(key) for factor in graph.extra for key in list(factor.keys())]
+    return {key.vehicle for key in keys if key.letter in _SHAPE}
+
+
+def _energies(graph: Graph, optimum: Optimum, known: Collection[int]) -> list[float]:
+    """Energy of each observation, and its vehicle's, where a graph ended, without the caller's factors, nats.
+
+    An image counts whole, though images of one vehicle have a share each; shapes that are `known` count nothing.
+    """
+    found = []
+    for i, (part, weights) in enumerate(zip(graph.observations, optimum.state.weights, strict=True)):
+        shape = dict(part.vehicle.energies(optimum.values))
+        terms = graph.energies_of(i, optimum.values, weights)
+        image = sum(nats for name, nats in terms.items() if name != EXTRA and name not in shape) / part.share
+        found.append(image + (0.0 if part.vehicle.number in known else sum(shape.values())))
+    return found
