@@ -7,6 +7,7 @@ A van that is taken for a car comes out too near and too high, and would draw th
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -18,6 +19,7 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
+from fgrecon.solve.claimed_points import TakenPlace, is_scanned, without_claimed
 from fgrecon.solve.class_filter import ClassBelief, with_model
 from fgrecon.solve.either_class import EitherClass, either_class, mean_weights
 from fgrecon.solve.fitted_class import FittedClass
@@ -106,18 +108,20 @@ def look_at_vehicles(
     classes: dict[int, ClassBelief | None] = {}
     for name, observation in observations.items():
         try:
-            track = tracks.get(name)
-            vehicle, classes[name] = _as_class(observation, track, frame, setup)
+            vehicle, classes[name] = _as_class(observation, tracks.get(name), frame, setup)
             model_of = (
                 setup.model_of([observation], [frame.camera]) if vehicle is None else vehicle.past[-1].problem.model
             )
             problem = Problem.of(observation, frame.camera, model_of, ground, setup.options)
-            if vehicle is None or track is None:
-                updates[name] = first_observed(model, problem, frame.time)
-            else:
-                updates[name] = vehicle.observed(problem, frame.time, _step(track.last, frame))
+            updates[name] = _looked_at(problem, vehicle, tracks.get(name), frame, model)
         except FgreconError as error:
             refused[name] = error
+    places = {name: _place(one) for name, one in updates.items() if is_scanned(observations[name])}
+    for name, observation in without_claimed(observations, places).items():
+        with suppress(FgreconError):  # it stays where it was
+            before = updates[name]
+            problem = before.frame.given.showing(observation)
+            updates[name] = _looked_at(problem, before.vehicle, tracks.get(name), frame, model)
     for name, update in [*updates.items()]:
         try:
             settled = update.settled()
@@ -132,6 +136,23 @@ def look_at_vehicles(
     }
     lower = {name: _lower(update, tracks.get(name), either[name], frame.ground) for name, update in updates.items()}
     return FrameVehicles(updates, refused, classes, either, {name: one for name, one in lower.items() if one})
+
+
+def _looked_at(
+    problem: Problem, vehicle: VehicleFilter | None, track: VehicleTrack | None, frame: CameraFrame, model: FilterModel
+) -> VehicleUpdate:
+    """A vehicle in a frame by itself; `vehicle` is what it was before, None where it was not observed."""
+    if vehicle is None or track is None:
+        return first_observed(model, problem, frame.time)
+    return vehicle.observed(problem, frame.time, _step(track.last, frame))
+
+
+def _place(update: VehicleUpdate) -> TakenPlace:
+    """Where a vehicle is by what it knows of itself."""
+    frame = update.frame
+    if update.vehicle is None or frame.step is None:
+        return TakenPlace.of(update.solved.adjusted)
+    return TakenPlace.expected(frame.problem, frame.pose.matrix(), update.shape[0], update.vehicle.foreseen(frame.step))
 
 
 def _lower(

@@ -287,7 +287,8 @@ def _ground(nominal: _Nominal, known: _Known) -> KnownGround | None:
         return own + (whole - own) * left**2  # what is left of it counts less: it is mostly the same for all vehicles
 
     near, far = variance(GROUND_FILTER.near_m), variance(GROUND_FILTER.far_m)
-    least_height, least_slope = own_deviations(plane, 1.0)
+    measured = nominal.sensed_s is not None  # such a plane is sure: what it is unsure by is how far roads are off it
+    least_height, least_slope = (plane.height_sigma, plane.slope_sigma) if measured else own_deviations(plane, 1.0)
     slope = max((far - near) / (GROUND_FILTER.far_m**2 - GROUND_FILTER.near_m**2), least_slope**2)
     height = max(near - slope * GROUND_FILTER.near_m**2, least_height**2)
     ground = replace(

@@ -22,7 +22,7 @@ from fgrecon.core.half_turn import flipped_alternative
 from fgrecon.core.input_warnings import InputWarning
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.reconstruction import Alternative, rotation_y
-from fgrecon.solve.claimed_points import without_claimed
+from fgrecon.solve.claimed_points import TakenPlace, is_scanned, without_claimed
 from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.fitted_class import with_fitted_classes
@@ -134,8 +134,12 @@ def solve_independently(
         except FgreconError as error:
             refused[number] = error
     for image in dict.fromkeys(image_of or [0]):
-        ends = {n: one.adjusted for n, one in solved.items() if image_of is None or image_of[n] == image}
-        for number, observation in without_claimed(usable, ends).items():
+        places = {
+            n: TakenPlace.of(one.adjusted)
+            for n, one in solved.items()
+            if (image_of is None or image_of[n] == image) and is_scanned(usable[n])
+        }
+        for number, observation in without_claimed(usable, places).items():
             with suppress(FgreconError):  # it stays where it was
                 anew = replace(coupled[number], evidence=observation.evidence)
                 solved[number] = _alone(anew, observation, camera, setup, steady)

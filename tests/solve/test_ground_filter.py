@@ -82,6 +82,16 @@ def test_the_first_frame_is_what_is_given_and_what_vehicles_say():
     assert ground.slope_sigma < 0.5 * GIVEN.slope_sigma
 
 
+def test_a_vehicle_may_be_as_far_off_a_measured_plane_as_roads_are():
+    """Vehicles that agree make a ground that is given sharper for all, but not the road beside the sensor's plane."""
+    banked = Ground(np.array([0.05, 1.0, -0.01]), 1.7, height_sigma=0.05, slope_sigma=0.006)
+    given, measured = (later(Video(), 0.0, banked, None, Saying(SLOPE), sensed=one).ground for one in (False, True))
+    assert given.height_sigma_at_depth(40.0) < 0.25 * banked.height_sigma_at_depth(40.0)
+    for depth in (1.0, 10.0, 40.0):
+        assert measured.height_sigma_at_depth(depth) >= banked.height_sigma_at_depth(depth) * (1.0 - 1e-9)
+    np.testing.assert_allclose(measured.normal, given.normal)
+
+
 def test_without_vehicles_it_is_what_is_given():
     ground = later(Video(), 0.0, GIVEN, None, Silent()).ground
     np.testing.assert_allclose(ground.normal, GIVEN.normal, atol=1e-12)

@@ -208,6 +208,22 @@ def test_a_hidden_vehicle_leaves_the_points_of_the_one_before_it(aside: float, b
         assert np.linalg.norm(vehicle.location - place) < 0.5
 
 
+@pytest.mark.parametrize("seen_before", [True, False])
+def test_over_time_too_a_hidden_vehicle_leaves_the_points_of_the_one_before_it(seen_before: bool) -> None:
+    """Whether it is new or was seen before; the one that hides it was, and is where it is expected."""
+    places = PLACE, PLACE + np.array([0.4, 0.0, 4.5])
+    tracker = Tracker(size_prior="kitti", options=Options(keep_history=False, box="cuboid"))
+    for frame in range(3):
+        (front, points), (back, few) = (scanned(-1.5, at, 10 * frame + i) for i, at in enumerate(places, start=1))
+        hidden = frame == 2
+        back = replace(back, keypoints=np.full((14, 2), np.nan)) if hidden else back
+        vehicles = {1: front, 2: back} if hidden or seen_before else {1: front}
+        scan = Points(np.concatenate([points, few[: 5 if hidden else 120]]))
+        found = tracker.update(frame / 10.0, vehicles, camera=CAMERA, ground=1.65, evidence=[scan])
+    for number, place in enumerate(places, start=1):
+        assert np.linalg.norm(found[number].reconstruction.location - place) < 0.5
+
+
 def test_vehicles_of_an_image_with_one_scan_and_a_factor_of_ones_own() -> None:
     one, points = scanned(-1.5, PLACE)
     other_place = np.array([-3.0, 1.65, 14.0])
