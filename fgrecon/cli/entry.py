@@ -26,8 +26,8 @@ def run() -> NoReturn:
     threading._shutdown()  # type: ignore[attr-defined]  # noqa: SLF001
     atexit._run_exitfuncs()  # noqa: SLF001
     try:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in filter(None, (sys.stdout, sys.stderr)):  # None where it was closed before
+            stream.flush()
     except OSError:  # nobody reads on: Python says so in its way
         sys.exit(code)
     os._exit(code)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, TypeVar
 
 import typer
 
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import printable, whole_text
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
@@ -107,14 +108,24 @@ class Screen:
         if path is not None:
             self.wrote(write_text(path, text))
 
+    def write_output(self, option: str, text: str) -> None:
+        """Write a text to the output, for want of a file that an option gives.
+
+        Raises:
+            InvalidInputError: The output was closed when the program began.
+        """
+        if sys.stdout is None:
+            raise InvalidInputError(option, "no file, and a closed output", "Give a file.")
+        sys.stdout.write(text)
+
     def write_json(self, text: str) -> None:
         """Write the text of --json to its file, or for `-` to the output; nothing where it is not given.
 
         Raises:
-            InvalidInputError: The file cannot be written.
+            InvalidInputError: The file cannot be written, or the output is closed.
         """
         if self._json == "-":
-            sys.stdout.write(_json_for(sys.stdout.encoding, whole_text(text)))
+            self.write_output("json", _json_for(getattr(sys.stdout, "encoding", "utf-8"), whole_text(text)))
         elif self._json is not None:
             self.write_text(Path(self._json), text)
 

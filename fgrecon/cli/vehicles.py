@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -49,7 +48,7 @@ def detect_command(
             corners = " ".join(f"{number:.2f}" for number in box)
             lines.append(f"{path.name} 2 {score:.3f} {corners} {BoxModel.DETECTED}\n")
     if out is None:
-        sys.stdout.write("".join(lines))
+        screen.write_output("out", "".join(lines))
     else:
         screen.write_text(out, "".join(lines))
     if not lines:

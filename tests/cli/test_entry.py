@@ -9,6 +9,7 @@ import tomllib
 import pytest
 
 from fgrecon.cli import entry, main
+from tests.cli.conftest import INTRINSICS
 from tests.conftest import REPOSITORY
 
 DURING = """
@@ -29,6 +30,17 @@ main()
 def threads(monkeypatch):
     """What `main` says of threads is no longer said after the test."""
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-"])
+def test_what_is_closed_is_not_used(closed, write, instance):
+    """As some that start programs leave it; what shall go there is refused."""
+    command = f"{sys.executable} -m fgrecon reconstruct {write(instance)} {INTRINSICS}"
+    done = subprocess.run(f"{command} {closed}", shell=True, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    done = subprocess.run(f"{command} --json - {closed}", shell=True, capture_output=True, text=True, check=False)
+    assert done.returncode == (2 if closed == ">&-" else 0)
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("module", ["fgrecon.cli.main", "typer", "fgrecon.cli.run", "gtsam", "rich.markup"])

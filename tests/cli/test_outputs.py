@@ -98,7 +98,7 @@ READ = {
     *("files", "calib", "camera", "prior", "calibration", "boxes", "weights", "image", "images", "names", "models"),
     *("source", "poses", "tracks", "recording", "fold", "labels", "split", "first", "second", "category", "imagenet"),
     *("start", "marks", "street", "settings", "trained", "cfg", "silhouettes", "lidar", "lidar_pose", "depth", "right"),
-    *("masks", "right_camera", "right_pose"),
+    *("masks", "right_camera", "right_pose", "package"),
 }
 
 
