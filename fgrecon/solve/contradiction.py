@@ -13,6 +13,7 @@ from statistics import median
 from factors.keys import decode_key
 from fgrecon.core.input_warnings import FACTORS_CONTRADICT
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.robust import StrategyName
 from fgrecon.solve.graph.graph import EXTRA, Graph
 from fgrecon.solve.graph.optimise import Optimum
 from fgrecon.solve.result import weakened
@@ -35,11 +36,14 @@ def with_contradictions(
         without: The graph of the same observations without the factors, and its end.
         indices: Which observations the results are of; None for all.
     """
+    graph = ended[0]
+    if graph.options.strategy.name is not StrategyName.MIXTURE:  # other energies have outliers pull at poses
+        return [*found]
     if ended[1].failure is not None or without[1].failure is not None:
         return [*found]
-    known = _vehicles_of_shape_factors(ended[0])
+    known = _vehicles_of_shape_factors(graph)
     with_them, alone = _energies(*ended, known), _energies(*without, known)
-    vehicles = [part.vehicle.number for part in ended[0].observations]
+    vehicles = [part.vehicle.number for part in graph.observations]
     lost = [one - other for one, other in zip(with_them, alone, strict=True)]
     results = []
     for i, result in zip(range(len(lost)) if indices is None else indices, found, strict=True):

@@ -57,6 +57,17 @@ def test_right_ones_make_no_result_weak():
             assert not contradicted(result)
 
 
+@pytest.mark.parametrize("strategy", ["huber", "paper", "gnc"])
+def test_other_energies_say_nothing_of_them(strategy):
+    """Keypoints that are wrong pull at the pose, and the truth costs as much as a factor that is wrong."""
+    rng = np.random.default_rng(2)
+    pose = yaw_pose(1.9, np.array([4.0, 1.65, 20.0]))
+    known = gtsam.PriorFactorPose3(X(0, 0), gtsam.Pose3(pose), gtsam.noiseModel.Isotropic.Sigma(6, 0.05))
+    options = fgrecon.Options(strategy=strategy)
+    result = fgrecon.reconstruct(car_at(pose, rng), KITTI_CAMERA, options=options, extra_factors=[known], **GIVEN)
+    assert not contradicted(result)
+
+
 @pytest.mark.parametrize(("metres", "status"), [(25.4, "converged"), (38.0, "weak"), (82.0, "degenerate")])
 def test_the_status_names_them(approached, metres, status):
     _, (seen, *_) = approached
