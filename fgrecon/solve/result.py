@@ -51,7 +51,7 @@ from fgrecon.solve.proposals.scaled_depth import ScaledDepth
 from fgrecon.solve.proposals.search_settings import SETTINGS as SEARCH
 from fgrecon.solve.solve_settings import STATUS
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
-from fgrecon.solve.weakness import weaknesses
+from fgrecon.solve.weakness import too_large_box, weaknesses
 
 
 @dataclass(frozen=True)
@@ -258,6 +258,7 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
     wireframe = prior.keypoints(coefficients, offsets)
     box_size = category.box_size(wireframe)
     (status, message), facing = _status(end, box_size), end.facing
+    excess = box_excess(problem, end.pose, coefficients, camera) if status.determined else float("nan")
     if np.isnan(facing) and end.part.share == 1.0 and np.isfinite([*camera_T_object.flat, end.optimum.gain]).all():
         facing = facing_by_energies(camera_T_object, end.alternatives)
     found = Reconstruction(
@@ -292,12 +293,14 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
             weights=end.weights,
             graph_iterations=end.optimum.iterations,
             graph_gain=end.optimum.gain,
-            box_excess=box_excess(problem, end.pose, coefficients, camera) if status.determined else float("nan"),
+            box_excess=excess,
             left_out=(*problem.observation.left_out, *_depths_elsewhere(problem, camera_T_object)),
             **diagnostics,
         ),
     )
-    return weakened(found, _reasons(end, box_size, diagnostics["point_weights"])) if status.determined else found
+    if not status.determined:
+        return found
+    return weakened(found, (*_reasons(end, box_size, diagnostics["point_weights"]), *too_large_box(excess)))
 
 
 def _depths_elsewhere(problem: Problem, camera_T_object: Array) -> Iterator[str]:

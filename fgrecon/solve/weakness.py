@@ -86,6 +86,13 @@ def off_ground(below: float, sigma: float) -> list[str]:
     return [f"it is {abs(below):.2f} m {side} the ground, {abs(below) / sigma:.1f} standard deviations"]
 
 
+def too_large_box(excess: float) -> list[str]:
+    """The clause of a vehicle whose 2D box is larger than it looks by such a share; NaN where nothing says so."""
+    if not excess > STATUS.large_box_excess:
+        return []
+    return [f"its 2D box is {100 * excess:.0f} % larger than it looks"]
+
+
 def too_fast(speed: float) -> list[str]:
     """The clause of a vehicle that goes so many metres a second as none does."""
     if speed <= STATUS.fastest_m_s:

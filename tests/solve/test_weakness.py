@@ -15,6 +15,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.options import KeypointOptions, Options
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.io.catalogue import load_prior
+from fgrecon.simulation import KITTI_CAMERA, Vehicle, simulate
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.result import weakened
 from fgrecon.solve.scene import reconstruct_scene
@@ -118,6 +119,19 @@ def test_a_rolled_camera_contradicts_the_cars_of_a_scene(prior, degrees, converg
     least, most = converged
     assert least <= sum(one.status is Status.CONVERGED for one in results) <= most
     assert degrees == 0.0 or any("leans by" in reason for one in results for reason in one.reasons)
+
+
+@pytest.mark.parametrize(("times", "weak"), [(1.0, False), (0.7, False), (1.6, True), (2.5, True)])
+def test_a_box_that_is_larger_than_its_car_looks(prior, times, weak):
+    """About the same middle, by less than the image's edges; of a smaller one the car may be hidden."""
+    rng = np.random.default_rng(7)
+    seen, _ = simulate(Vehicle.sample(prior, rng), KITTI_CAMERA, yaw_pose(2.0, (1.0, 1.65, 16.0)), rng)
+    middle, half = (seen.box[:2] + seen.box[2:]) / 2.0, (seen.box[2:] - seen.box[:2]) / 2.0
+    loose = replace(seen, box=np.concatenate([middle - times * half, middle + times * half]))
+    result = reconstruct(loose, KITTI_CAMERA, ground=1.65)
+    assert any("larger than it looks" in reason for reason in result.reasons) == weak
+    assert result.status is (Status.WEAK if weak else Status.CONVERGED)
+    assert weak == (result.diagnostics.box_excess > 0.2)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
