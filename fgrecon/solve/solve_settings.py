@@ -154,7 +154,7 @@ class StatusSettings:
     leaning_together_sigmas: float = 1.75
     """Of cars of an image, which may lean together. With the camera rolled by 10 degrees 92 % of simulated ones lean
     more; of KITTI's in 85 images 5 of 220, on roads that are banked by 3 degrees."""
-    fastest_m_s: float = 150.0  # of a vehicle over the camera or the ground; not tuned
+    fastest_m_per_s: float = 150.0  # of a vehicle over the camera or the ground; not tuned
     outside_image: float = 0.5  # of the vehicle's 2D box
     large_box_excess: float = 0.2
     """By which a 2D box is larger than its vehicle looks: a wrong one. Of 318 cars of five drives of KITTI's tracking

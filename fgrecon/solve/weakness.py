@@ -95,7 +95,7 @@ def too_large_box(excess: float) -> list[str]:
 
 def too_fast(speed: float) -> list[str]:
     """The clause of a vehicle that goes so many metres a second as none does."""
-    if speed <= STATUS.fastest_m_s:
+    if speed <= STATUS.fastest_m_per_s:
         return []
     return [f"it goes {speed:.0f} m/s: are the times of the frames seconds, and all of them there?"]
 
