@@ -115,20 +115,20 @@ def as_finite(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: 
     return array
 
 
-def as_corners(field: str, value: ArrayLike, shape: tuple[int | None, ...], least: float = 0.0) -> NDArray[np.float64]:
-    """2D boxes (..., 4) as finite corners x1, y1, x2, y2, pixels, with sides of at least so many.
+CORNERS = "Give two corners x1, y1, x2, y2 in pixels, no width and height."
+"""What to give for a 2D box."""
+
+
+def check_corners(field: str, boxes: NDArray[np.float64], least: float = 0.0) -> None:
+    """Refuse 2D boxes (..., 4) that have no size, as one of width and height has, or a side of less than some pixels.
 
     Raises:
-        InvalidInputError: As `as_finite`, or a box has no size, as one of width and height has.
+        InvalidInputError: For the first of them.
     """
-    sides = f", sides of at least {least:g}" if least else ""
-    fix = f"Give two corners x1, y1, x2, y2 in pixels{sides}, no width and height."
-    boxes = as_finite(field, value, shape, fix)
     for box in boxes.reshape(-1, 4):
         size = box[2:] - box[:2]
         if not ((size > 0.0) & (size >= least)).all():
-            raise InvalidInputError(field, box.tolist(), fix)
-    return boxes
+            raise InvalidInputError(field, box.tolist(), CORNERS)
 
 
 def as_time(value: ArrayLike) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.camera import Camera
-from fgrecon.core.checks import as_corners, as_finite, as_shape, own
+from fgrecon.core.checks import CORNERS, as_finite, as_shape, check_corners, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Evidence, as_evidence
 from fgrecon.core.lens import OPENCV, WIDEST_DEGREES
@@ -90,7 +90,8 @@ class Observation:
         set_(self, "keypoints", own(np.where(missing[:, None], np.nan, keypoints)))
         set_(self, "confidence", own(np.where(missing, 0.0, confidence)))
         if self.box is not None:
-            box = as_corners("box", self.box, (4,), least=1.0)
+            box = as_finite("box", self.box, (4,), CORNERS)
+            check_corners("box", box, least=1.0)
             _check_size("box", box)
             set_(self, "box", own(box))
         if self.covariance is not None:

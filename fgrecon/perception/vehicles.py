@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.arrays import Array
-from fgrecon.core.checks import as_corners, as_finite, one_word, own
+from fgrecon.core.checks import CORNERS, as_finite, check_corners, one_word, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_overlaps
 from fgrecon.core.repr import brief_repr
@@ -108,7 +108,8 @@ class Vehicles:
         Raises:
             InvalidInputError: A shape is wrong, a number is not finite, or a box has no size.
         """
-        boxes = as_corners("vehicles.boxes", self.boxes, (None, 4))
+        boxes = as_finite("vehicles.boxes", self.boxes, (None, 4), CORNERS)
+        check_corners("vehicles.boxes", boxes)
         object.__setattr__(self, "boxes", own(boxes))
         object.__setattr__(self, "scores", own(as_finite("vehicles.scores", self.scores, (len(boxes),))))
         kinds = tuple(one_word(f"vehicles.kinds[{i}]", kind) for i, kind in enumerate(self.kinds))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.arrays import Array
-from fgrecon.core.checks import as_corners, as_finite, as_rows
+from fgrecon.core.checks import as_finite, as_rows, check_corners
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.core.observation import Observation
@@ -328,7 +328,7 @@ def check_box(box: Array, image: NDArray[np.uint8], field: str = "box") -> None:
         InvalidInputError: It has no size, is smaller than 8 pixels, or lies outside the image.
     """
     height, width = image.shape[:2]
-    as_corners(field, box, (4,))
+    check_corners(field, box)
     size = box[2:] - box[:2]
     if not large_enough(box):
         raise InvalidInputError(field, box.tolist(), f"Give a vehicle of at least {SMALLEST_BOX:g} pixels.")
