@@ -214,12 +214,13 @@ def _conditions(
     share = "all parts" if settings.every == 1 else f"every {settings.every}th part"
     return (
         (
-            f"Simulated: {len(main)} cars of KITTI's validation images ({len(validation.frames)} frames read, {share}) "
-            "at their labelled poses and sizes. Each has the shape of one of the 79 car models, drawn at random and "
-            "scaled to its label; keypoints, confidences and confusions are drawn from a noise model fitted to what a "
-            "stacked-hourglass network did on 76 frames of KITTI tracking; 2D boxes are a real detector's. A keypoint "
-            "is hidden by the car itself, by other labelled objects, or by the image's border. The default prior is "
-            "learnt from the same 79 models: how it does on cars that it does not know is shown under 'known shape'."
+            f"Simulated: {len(main)} cars of KITTI's validation images ({len(validation.frames)} frames read, "
+            f"{share}), at their labelled poses and sizes. Each has the shape of one of the 79 car models, drawn at "
+            "random and scaled to its label; keypoints, confidences and confusions are drawn from a noise model fitted "
+            "to what a stacked-hourglass network did on 76 frames of KITTI tracking; 2D boxes are a real detector's. A "
+            "keypoint is hidden by the car itself, by other labelled objects, or by the image's border. The default "
+            "prior is learnt from the same 79 models: how it does on cars that it does not know is shown under 'known "
+            "shape'."
         ),
         (
             f"Given: fleet of {length:g} x {width:g} x {height:g} m on average, camera {scene.ground.distance:g} m "
