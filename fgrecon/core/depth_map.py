@@ -72,6 +72,9 @@ class DepthMap:
         scale: Whether the numbers are metres, or scale, or scale and shift, are to be found.
         inverse: Whether the numbers are inverse depths (1 / metres), as of disparities and many networks.
         shared_sigma: Standard deviation of an error of the inverse depth that all pixels have in common, 1 / metres.
+        shared_mean: What of that error is known, 1 / metres; it is added to the inverse depth.
+        sensor: Name of the sensor of a map in metres, if that error is its constant: a `Tracker` learns it over time.
+            Empty where each map has its own.
         calibration: Scale and shift where they are known, such as from the frame before; takes the place of `scale`.
         corner: Row and column of the image's pixel that is the first of a map of a part of it (`part`).
     """
@@ -82,6 +85,8 @@ class DepthMap:
     scale: DepthScale = DepthScale.METRIC
     inverse: bool = False
     shared_sigma: float = 0.0
+    shared_mean: float = 0.0
+    sensor: str = ""
     calibration: DepthCalibration | None = None
     corner: tuple[int, int] = (0, 0)
 
@@ -109,6 +114,7 @@ class DepthMap:
             if not 0.0 <= value <= largest:
                 raise InvalidInputError(f"depth.{name}", value, f"Give a number from 0 to {largest:g}.")
             set_(self, name, value)
+        set_(self, "shared_mean", float(as_finite("depth.shared_mean", self.shared_mean, ())))
         if not np.any(self.sigma) and self.relative_sigma == 0.0:
             raise InvalidInputError("depth.sigma", 0.0, "Give a standard deviation, or a relative one.")
         if self.scale is DepthScale.METRIC and self.calibration is None:
@@ -145,8 +151,12 @@ class DepthMap:
     def metres(self, numbers: Array, calibration: DepthCalibration) -> Array:
         """Depths of numbers of the map in metres; NaN of what is nowhere before the camera."""
         found = calibration.scale * numbers + calibration.shift
+        if self.shared_mean:
+            with np.errstate(divide="ignore"):
+                found = (found if self.inverse else 1.0 / found) + self.shared_mean
+        inverse = self.inverse or self.shared_mean != 0.0
         safe = np.where(found > 0.0, found, np.nan)
-        return np.asarray(1.0 / safe if self.inverse else safe)
+        return np.asarray(1.0 / safe if inverse else safe)
 
     def times_too_far(self, box: NDArray[np.float64], metres: float) -> float | None:
         """How many times as far as a vehicle the pixels of a map in metres are; None where they may be its.

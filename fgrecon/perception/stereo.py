@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -86,7 +87,15 @@ def stereo_depth(left: NDArray[Any], camera: Camera, pair: StereoPair) -> DepthM
     else:
         depth, product = _unrectified(images, camera, pair)
     sigma = SETTINGS.disparity_sigma_px * depth**2 / product
-    return DepthMap(depth, sigma, relative_sigma=0.0, shared_sigma=SETTINGS.offset_sigma_px / product)
+    shared = SETTINGS.offset_sigma_px / product
+    return DepthMap(depth, sigma, relative_sigma=0.0, shared_sigma=shared, sensor=_rig(camera, right, motion))
+
+
+def _rig(camera: Camera, right: Camera, motion: Array) -> str:
+    """A name of the two cameras, by their calibration."""
+    lenses = [np.zeros(0) if one.distortion is None else one.distortion for one in (camera, right)]
+    numbers = np.concatenate([camera.matrix.ravel(), right.matrix.ravel(), motion.ravel(), *lenses])
+    return f"stereo {sha256(numbers.tobytes()).hexdigest()[:12]}"
 
 
 def _is_rectified(camera: Camera, right: Camera, motion: Array) -> bool:

@@ -6,7 +6,7 @@ A van that is taken for a car comes out too near and too high, and would draw th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -17,6 +17,7 @@ from factors.marginals import Marginal
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FgreconError
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.solve.claimed_points import TakenPlace, is_scanned, without_claimed
@@ -29,6 +30,7 @@ from fgrecon.solve.image_facing import estimate_pose_facing
 from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.sensor_filter import SensorFilter
 from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.time.frame import Frame, FrameStep, seconds_from
 from fgrecon.solve.time.time_settings import SETTINGS as TIME
@@ -78,6 +80,10 @@ class FrameVehicles:
     def poses(self) -> list[Array]:
         """Pose (4, 4) of each that was looked at."""
         return [update.frame.pose.matrix() for update in self.updates.values()]
+
+    def told_of(self, sensors: SensorFilter, time: float, evidence: Sequence[Evidence]) -> SensorFilter:
+        """What is known of sensors after the frame, see `SensorFilter.later`."""
+        return sensors.later(time, evidence, {name: (one.frame, one.shape) for name, one in self.updates.items()})
 
     def ground_evidence(self, known: Marginal, plane: Ground) -> GroundEvidence | None:
         """What those that were looked at say of the ground, of whichever class they are; see `ground_evidence`."""

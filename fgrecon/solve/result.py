@@ -73,7 +73,7 @@ def marginalise(graph: Graph, optimum: Optimum, at_once: Collection[int] | None 
             quicker for frames of one vehicle; None for those of all by `gtsam.Marginals`.
     """
     values = graph.values(optimum.state)
-    weights = [_common(part, w) for part, w in zip(graph.observations, optimum.state.weights, strict=True)]
+    weights = common_weights(graph, optimum.state.weights)
     if optimum.failure is not None:
         return Marginalised(values, weights, None)
     graph.look(values)
@@ -90,8 +90,12 @@ def _keys_of(graph: Graph, indices: Collection[int]) -> set[int]:
     return keys | {key for vehicle in graph.vehicles.values() for key in vehicle.shape.keys}
 
 
+def common_weights(graph: Graph, weights: Sequence[Weights]) -> list[Weights]:
+    """The weights with which keypoints and boxes count for covariances: a detector's errors go together."""
+    return [_common(part, one) for part, one in zip(graph.observations, weights, strict=True)]
+
+
 def _common(part: ObservationPart, weights: Weights) -> Weights:
-    """The weights with which keypoints and box count for covariances: a detector's errors go together."""
     by_keypoints, by_box = part.problem.common_factor, part.problem.box_common_factor
     return replace(weights, keypoints=weights.keypoints / by_keypoints, box=weights.box / by_box)
 

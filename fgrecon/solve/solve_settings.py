@@ -86,6 +86,19 @@ class GroundFilterSettings:
 
 
 @dataclass(frozen=True)
+class SensorFilterSettings:
+    """The shared error of a sensor's depth maps over time (`fgrecon.solve.sensor_filter`); not tuned."""
+
+    drift_s: float = 600.0  # in which it may change by as much as it is unsure before any vehicle
+    least_share: float = 0.33  # of that deviation: sizes of fleets are wrong alike, so many vehicles make it no surer
+    loss_sigmas: float = 2.0  # from which on a vehicle counts less
+    reweighings: int = 20
+    most_vehicles: int = 50  # the last ones: of a sensor that was moved the new ones outnumber the others some time
+    iterations: int = 8  # Newton's, of a vehicle alone: it begins near its minimum
+    least_gain: float = 1e-3  # of information, by which a vehicle says something
+
+
+@dataclass(frozen=True)
 class DepthScaleSettings:
     """Of a first scale and shift of depth maps (`fgrecon.solve.depth_scale`).
 
@@ -182,3 +195,4 @@ class StatusSettings:
 
 FACING, SCENE, GROUND_FILTER, STATUS = FacingSettings(), SceneSettings(), GroundFilterSettings(), StatusSettings()
 DEPTH_SCALE, ROAD, FITTED_CLASS = DepthScaleSettings(), RoadSettings(), FittedClassSettings()
+SENSOR_FILTER = SensorFilterSettings()

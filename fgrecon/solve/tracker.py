@@ -54,6 +54,7 @@ from fgrecon.solve.inputs import (
 from fgrecon.solve.proposals.point_term import with_its_points
 from fgrecon.solve.result import marginalise, results, weakened, with_facing_over_time, with_gains
 from fgrecon.solve.road_plane import ground_by_points
+from fgrecon.solve.sensor_filter import SensorFilter
 from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.camera_drift import CameraDrift
@@ -121,6 +122,7 @@ class Tracker:
         self._road = GroundFilter() if as_flag("shared_ground", shared_ground) else None
         self._tracks: dict[int, VehicleTrack] = {}
         self._forgotten: list[float] = []  # how far the boxes of vehicles were off that were forgotten
+        self._sensors = SensorFilter()
         self._time = self._clock = -np.inf
         self._latest: list[float] = []  # times of the last two frames with vehicles
         self._cameras: list[tuple[Camera, gtsam.Pose3 | None]] = []  # of the last time
@@ -178,15 +180,16 @@ class Tracker:
         used, plane = calibrated("camera", Camera.of(camera)), as_ground(ground)
         place = None if world_T_camera is None else gtsam.Pose3(as_camera_pose(world_T_camera))
         moved = None if motion_covariance is None else as_motion_covariance(motion_covariance)
-        sensed = evidence_of(evidence, used, of_all=True)
-        check_frames(sensed, used, plane, observations.values())
-        given, plane = plane, ground_by_points(sensed, plane, used, self._setup.options.disabled_terms)
+        given = evidence_of(evidence, used, of_all=True)
+        check_frames(given, used, plane, observations.values())
         with self._one_call:
             cameras = self._cameras_at(time, used, place)
+            sensed = self._sensors.applied(given, time)
+            level, plane = plane, ground_by_points(sensed, plane, used, self._setup.options.disabled_terms)
             # Noise that grows with time must not vanish: frames of one time are a microsecond apart.
             clock = max(time, self._clock + GROUND_FILTER.shortest_s)
             drift = self._drift.moved(place, moved)
-            frame = CameraFrame(clock, used, plane, place, moved, drift, sensed=plane is not given)
+            frame = CameraFrame(clock, used, plane, place, moved, drift, sensed=plane is not level)
             found = self._update(frame, time, observations, sensed, estimated=made)
             if observations:  # others follow nothing, and may be any time apart
                 if time > self._time and (line := interval_warning([*self._latest, time])) is not None:
@@ -217,11 +220,12 @@ class Tracker:
             road, known, vehicles = road.later(frame, look)
             ground = ground if known is None else known.ground
         refused |= vehicles.refused
+        sensors = vehicles.told_of(self._sensors, frame.time, evidence)
         grounded = None if "ground" in self._setup.options.disabled_terms else known
         tracks: dict[int, VehicleTrack] = {}
         for name, update in vehicles.updates.items():
             try:
-                vehicle = update.taken(ground)
+                vehicle = update.taken(ground, sensors.over(update.frame))
             except FgreconError as error:
                 refused[name] = error
                 continue
@@ -230,7 +234,7 @@ class Tracker:
             contexts = (context,) if before is None else (*before.contexts, context)
             tracks[name] = VehicleTrack(vehicle, frame, contexts[-len(vehicle.past) :], vehicles.classes[name])
         found = {name: self._estimate(name, track) for name, track in tracks.items()} if estimated else {}
-        self._tracks, self._road, self.refused = self._tracks | tracks, road, refused
+        self._tracks, self._road, self._sensors, self.refused = self._tracks | tracks, road, sensors, refused
         return found
 
     def _cameras_at(
@@ -282,10 +286,10 @@ class Tracker:
             vehicles: Their ids, of which those that are not there have none; None for all.
         """
         with self._one_call:
-            tracks = dict(self._tracks)
+            tracks, sensors = dict(self._tracks), self._sensors
         if vehicles is not None:
             tracks = {name: tracks[name] for name in vehicles if name in tracks}
-        pasts = {name: [*track.vehicle.past] for name, track in tracks.items()}
+        pasts = {name: [sensors.over(frame) for frame in track.vehicle.past] for name, track in tracks.items()}
         for frames in pasts.values():
             frames[0] = replace(frames[0], step=None)
         smoothed = single_threaded(self._smoothed)

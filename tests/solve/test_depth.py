@@ -47,16 +47,16 @@ def _street() -> tuple[list[Observation], np.ndarray]:
     return street_of()
 
 
-def street_of() -> tuple[list[Observation], np.ndarray]:
+def street_of(shapes: np.ndarray = SHAPES, seed: int = 0) -> tuple[list[Observation], np.ndarray]:
     """What a network says of three cars of different sizes, and the depth (H, W) of them, the road and a wall."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     row, column = np.mgrid[: SIZE[1], : SIZE[0]]
     rays = CAMERA.rays(np.stack([column, row], axis=-1).astype(float))
     depth = np.minimum(1.65 / np.maximum(rays[..., 1], 1e-6), 45.0)
     seen = []
     surface = PRIOR.surface
     assert surface is not None
-    for place, yaw, shape in zip(PLACES, YAWS, SHAPES, strict=True):
+    for place, yaw, shape in zip(PLACES, YAWS, shapes, strict=True):
         rotation = yaw_rotation(yaw)
         vertices = surface.vertices(shape) @ rotation.T + place
         _draw(depth, rays, vertices[surface.faces])
@@ -165,6 +165,41 @@ def test_an_error_that_all_pixels_share_is_found(street: tuple[list[Observation]
     scale, offset = open_[0].diagnostics.depth_scales[0]
     assert scale == pytest.approx(1.0, abs=1e-3)
     assert 0.001 < offset < 0.006
+
+
+def test_what_is_known_of_a_shared_error_is_added(street: tuple[list[Observation], np.ndarray]) -> None:
+    """Oracle: the map with that error taken out by hand."""
+    seen, depth = street
+    given = 1.0 / (1.0 / depth - 0.004)
+    corrected = 1.0 / (1.0 / given + 0.0015)
+    how: dict[str, Any] = {"sigma": 0.01 * depth, "relative_sigma": 0.0, "shared_sigma": 0.003}
+    by_hand, known, inverse = (
+        reconstruct_scene(seen, CAMERA, evidence=[one], **HOW).vehicles
+        for one in (
+            DepthMap(corrected, **how),
+            DepthMap(given, shared_mean=0.0015, **how),
+            DepthMap(1.0 / given, inverse=True, shared_mean=0.0015, **how | {"sigma": 0.01 / depth}),
+        )
+    )
+    for a, b, c in zip(by_hand, known, inverse, strict=True):
+        assert b.location == pytest.approx(a.location, abs=1e-6)
+        assert c.location == pytest.approx(a.location, abs=2e-2)  # its pixels are as sure, but for the shift
+        (scale, shift), (before, left) = b.diagnostics.depth_scales[0], a.diagnostics.depth_scales[0]
+        assert scale == pytest.approx(before)
+        assert shift == pytest.approx(left + 0.0015, abs=1e-6)  # of the numbers that were given
+        assert c.diagnostics.depth_scales[0][1] == pytest.approx(shift, abs=3e-4)
+
+
+def test_one_image_twice_says_what_it_says_once(street: tuple[list[Observation], np.ndarray]) -> None:
+    """Also of what its pixels have wrong together, where images of a vehicle have all errors in common."""
+    (one, *_), depth = street
+    shifted = 1.0 / (1.0 / depth - 0.006)
+    given = [DepthMap(shifted, relative_sigma=0.01, shared_sigma=0.003)]
+    options = replace(OPTIONS, shape=replace(OPTIONS.shape, common_error=1.0))
+    once = reconstruct(one, CAMERA, evidence=given, ground=1.65, options=options)
+    twice = reconstruct_track([one, one], CAMERA, evidence=[given, given], ground=1.65, options=options)
+    assert twice.frames[0].location == pytest.approx(once.location, abs=2e-3)
+    assert twice.frames[0].diagnostics.depth_scales == pytest.approx(once.diagnostics.depth_scales, abs=1e-5)
 
 
 def test_one_vehicle_over_images_and_over_time(street: tuple[list[Observation], np.ndarray]) -> None:

@@ -38,6 +38,7 @@ class SharedErrors:
             free: Whether what they share are variables at all.
         """
         self.known: dict[int, ScaledDepth | UnsurePlace] = {}
+        self._share: dict[int, float] = {}
         self._keys: dict[tuple[int, Hashable], int] = {}
         for part in observations if free else ():
             for term in part.problem.energy.points:
@@ -45,10 +46,12 @@ class SharedErrors:
                     continue
                 key = D(part.image, sum(image == part.image for image, _ in self._keys))
                 self._keys[part.image, term.shared.key] = key
-                self.known[key] = term.shared
+                self.known[key], self._share[key] = term.shared, part.share
         self.terms: dict[str, list[gtsam.NonlinearFactor]] = {}
         for key, one in self.known.items():
-            prior = ZeroPrior(key, gtsam.noiseModel.Gaussian.Covariance(one.covariance))
+            # Images of a vehicle count by a share, and so does what each is taken to know.
+            covariance = one.covariance / self._share[key]
+            prior = ZeroPrior(key, gtsam.noiseModel.Gaussian.Covariance(covariance))
             self.terms.setdefault(PLACE if isinstance(one, UnsurePlace) else DEPTH, []).append(prior)
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from factors.keypoint_rows import KeypointRows, whiteners
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
+from fgrecon.core.evidence import Evidence as SensorEvidence
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options
 from fgrecon.core.robust import Evidence
@@ -81,6 +83,14 @@ class Problem:
         """
         other = Problem.of(observation, self.camera, self.model, self.ground, self.options)
         return replace(other, assumed=self.assumed)
+
+    def sensing(self, evidence: Sequence[SensorEvidence]) -> Problem:
+        """The same with other evidence of sensors.
+
+        Raises:
+            DegenerateProblemError: As `of`.
+        """
+        return self.showing(replace(self.observation, evidence=tuple(evidence)))
 
     def as_vehicle(self, model: VehicleModel) -> Problem:
         """The same of a vehicle of another model, which shares all that is about the image alone.

@@ -33,7 +33,7 @@ class ScaledDepth:
     @property
     def key(self) -> Hashable:
         """The same for all pixels of the map."""
-        return id(self.given)
+        return self.given.sensor or id(self.given)
 
     def metres(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
         """(M,) depths of pixels, metres; NaN where there is none."""
@@ -47,6 +47,8 @@ class ScaledDepth:
             shift, by = float(variables[1]), np.array([[before.scale * scale, 0.0], [0.0, 1.0]])
         else:
             by = np.array([[before.scale * scale, 0.0], [before.shift * scale, 1.0]])
+        if self.shared is Shared.INVERSE:
+            shift, by[1, 0] = shift + scale * self.given.shared_mean, by[1, 0] + scale * self.given.shared_mean
         return before.scale * scale, shift, by @ covariance @ by.T
 
 

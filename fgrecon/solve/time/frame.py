@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
 
 from fgrecon.core.arrays import Array
+from fgrecon.core.evidence import Evidence
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.observation_part import Weights
@@ -94,6 +96,11 @@ class Frame(PosedImage):
     belief: Belief  # of the heading
     velocity: Array = field(default_factory=lambda: np.zeros(3))  # (3,) where it is now
     merged: bool = False  # whether it stands for frames before it as well, which left the window
+
+    def sensing(self, evidence: Sequence[Evidence]) -> Frame:
+        """The frame with what other sensors say in the place of what they said."""
+        flipped = None if self.flipped is None else self.flipped.sensing(evidence)
+        return replace(self, given=self.given.sensing(evidence), flipped=flipped)
 
     def begun(self) -> Frame:
         """The frame as the first of its vehicle."""

@@ -176,21 +176,25 @@ class VehicleUpdate:
         frame, solved = _solved_alone(replace(self.frame, given=problem, flipped=None, start=start), start)
         return replace(self, frame=frame, shape=solved.shape, solved=solved)
 
-    def taken(self, ground: Ground | None) -> VehicleFilter:
+    def taken(self, ground: Ground | None, frame: Frame | None = None) -> VehicleFilter:
         """The vehicle with this frame, on a ground that may have been found meanwhile.
+
+        Args:
+            ground: The ground, or None.
+            frame: This frame by what was found meanwhile of its sensors; None where that is nothing.
 
         Raises:
             FgreconError: It cannot be solved there.
         """
-        update = self if self.frame.problem.ground is ground else self._on(ground)
+        same = (frame is None or frame is self.frame) and self.frame.problem.ground is ground
+        update = self if same else self._changed(ground, frame or self.frame)
         frame = update.frame
         if update.vehicle is not None:
             return update.vehicle.extended(frame, self.path)
         return VehicleFilter(self.model, (frame,), (frame,), 1, update.shape, update.solved, self.path)
 
-    def _on(self, ground: Ground | None) -> VehicleUpdate:
-        """The update on another ground."""
-        frame = self.frame
+    def _changed(self, ground: Ground | None, frame: Frame) -> VehicleUpdate:
+        """The update on another ground, with this frame as it is known now."""
         flipped = None if frame.flipped is None else frame.flipped.on(ground)
         frame = replace(frame, given=frame.given.on(ground), flipped=flipped)
         if self.vehicle is not None:

@@ -12,9 +12,10 @@ world, and the camera's error is in both. The error is thus that of the velocity
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -32,10 +33,11 @@ from fgrecon.core.half_turn import HALF_TURN
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import IMAGES_PER_SECOND, Drive
+from fgrecon.io.kitti_drives import IMAGES_PER_SECOND, Drive, DriveFrame
 from fgrecon.io.source_frames import SourceFrame
 from fgrecon.io.track_file import GroundTruth
 from fgrecon.perception.keypoints.decode import logit
+from fgrecon.perception.stereo import stereo_depth
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import GatedAssociation
@@ -43,7 +45,7 @@ from fgrecon.video.camera_path import CameraPath
 from fgrecon.video.follow import Follower
 from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import FrameRecord, Sighting
-from fgrecon_research.io.drive_sensors import scan_of
+from fgrecon_research.io.drive_sensors import Sensor, file_of, right_image, scan_of
 
 # The vote: which way a vehicle faces if one merely adds up what the network says of its frames.
 #
@@ -140,7 +142,7 @@ def follow_boxes(
     *,
     forget_ids: bool = False,
     estimate_motion: bool = False,
-    lidar: bool = False,
+    sensors: Collection[Sensor] = (),
     advance: Callable[[str], None] = lambda _: None,
 ) -> list[VideoBox]:
     """The boxes with outcomes of `ALONE` (where all were solved together), the votes, `ONLINE`, `BATCH` and more.
@@ -151,14 +153,14 @@ def follow_boxes(
         forget_ids: Whether the vehicles are given ids anew, by association.
         estimate_motion: Whether to follow with the camera's motion as well, which all images between the first and the
             last tell; it needs the ground.
-        lidar: Whether the points of each frame that has some are given to the tracker.
+        sensors: Those of which the tracker gets what frames have: `LIDAR` and `RIGHT`.
         advance: Called with the drive's name after each of these frames that was followed, with the motion once more.
     """
     found: list[VideoBox] = []
     for drive in drives:
         own = [frame for frame in frames if frame.drive == drive.name]
         setup = setups[drive.name]
-        how = {"forget_ids": forget_ids, "estimate_motion": estimate_motion, "lidar": lidar}
+        how: dict[str, Any] = {"forget_ids": forget_ids, "estimate_motion": estimate_motion, "sensors": sensors}
         found += _follow(own, drive, setup, advance, **how)
     return found
 
@@ -201,10 +203,10 @@ def _follow(
     *,
     forget_ids: bool,
     estimate_motion: bool,
-    lidar: bool,
+    sensors: Collection[Sensor],
 ) -> list[VideoBox]:
     camera = drive.calibration.camera.with_size_of(read_image(drive.frames[0].image))  # as single images have it
-    follow = partial(_estimates, scored_frames, drive, camera, setup, advance, forget_ids=forget_ids, lidar=lidar)
+    follow = partial(_estimates, scored_frames, drive, camera, setup, advance, forget_ids=forget_ids, sensors=sensors)
     still = follow(moving=False)
     ways = [(ONLINE, BATCH, still)]
     if estimate_motion:
@@ -244,7 +246,7 @@ def _estimates(
     *,
     forget_ids: bool,
     moving: bool,
-    lidar: bool,
+    sensors: Collection[Sensor],
 ) -> _Followed:
     tracker = Tracker(
         prior=setup.prior, size_prior=setup.size_prior, options=setup.options, shared_ground=setup.together, past=None
@@ -253,11 +255,9 @@ def _estimates(
     association = GatedAssociation(first=largest + 1)
     by_number = {frame.number: frame for frame in drive.frames}
 
-    def scan(record: FrameRecord) -> Sequence[Evidence]:
-        points = scan_of(by_number[record.number])
-        return () if points is None else (points,)
+    def sense(record: FrameRecord) -> Sequence[Evidence]:
+        return _sensed(by_number[record.number], camera, sensors)
 
-    sense = scan if lidar else None
     follower = Follower(tracker, association, camera, ground=setup.ground, path=CameraPath(moving=moving), sense=sense)
     online: dict[_Key, VehicleEstimate] = {}
     ids: dict[_Key, int] = {}
@@ -281,6 +281,16 @@ def _estimates(
     times = {key: (ids[key], one.time) for key, one in online.items()}
     batch = {key: smoothed[time] for key, time in times.items() if time in smoothed}
     return _Followed(online, batch, ids, places, labelled_velocities(drive, places if moving else None))
+
+
+def _sensed(frame: DriveFrame, camera: Camera, sensors: Collection[Sensor]) -> list[Evidence]:
+    """What the tracker gets of a frame."""
+    found: list[Evidence] = []
+    if Sensor.LIDAR in sensors and (points := scan_of(frame)) is not None:
+        found.append(points)
+    if Sensor.RIGHT in sensors and file_of(frame, Sensor.RIGHT) is not None:
+        found.append(stereo_depth(read_image(frame.image), camera, right_image(frame)))
+    return found
 
 
 def _votes(

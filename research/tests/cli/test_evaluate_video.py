@@ -303,6 +303,6 @@ def test_a_lidar_is_scored_beside_the_picture_alone(drives, weights, tmp_path):
     followed = run(*drives, "--weights", weights, "--lidar", "--track", "--json", tmp_path / "t.json")
     assert followed.exit_code == 0, followed.output
     assert {"online", "batch"} < set(json.loads((tmp_path / "t.json").read_text())["methods"])
-    refused = run(*drives, "--weights", weights, "--right", "--track")
+    refused = run(*drives, "--weights", weights, "--depth", "--track")
     assert isinstance(refused.exception, InvalidInputError)
     assert "--track" in str(refused.exception)

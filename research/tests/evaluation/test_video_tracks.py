@@ -9,6 +9,7 @@ import pytest
 
 from fgrecon.calibration.labelled_boxes import SYSTEM
 from fgrecon.calibration.labelled_frames import score_frames
+from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.evidence import Points
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.half_turn import flipped_observation
@@ -28,6 +29,7 @@ from fgrecon_research.evaluation.video_tracks import (
     follow_boxes,
     labelled_velocities,
 )
+from fgrecon_research.io.drive_sensors import Sensor
 from research.tests.evaluation.test_video_images import folder, setup  # noqa: F401  # fixtures
 
 
@@ -207,6 +209,17 @@ def test_a_lidar_s_points_are_given_to_what_follows(folder, setup, scene, monkey
 
     monkeypatch.setattr(video_tracks, "scan_of", scan)
     frames = score_frames(drives, {"drive": setup})
-    followed = follow_boxes(frames, drives, {"drive": setup}, lidar=True)
+    followed = follow_boxes(frames, drives, {"drive": setup}, sensors=[Sensor.LIDAR])
     assert given == [frame.number for frame in frames]
     assert len(followed) == sum(len(frame.boxes) for frame in frames)
+
+
+def test_right_images_are_given_to_what_follows(folder, setup, scene, monkeypatch):  # noqa: F811
+    setup, drives = replace(setup, together=False), [read_drive(folder)]
+    images, given, flat = drives[0].frames[0].image.parent, [], DepthMap(np.full((360, 1200), 20.0))
+    shutil.copytree(images, images.parent / "image_03")
+    monkeypatch.setattr(video_tracks, "right_image", lambda frame: frame.number)
+    monkeypatch.setattr(video_tracks, "stereo_depth", lambda left, camera, pair: given.append(pair) or flat)
+    frames = score_frames(drives, {"drive": setup})
+    follow_boxes(frames, drives, {"drive": setup}, sensors=[Sensor.RIGHT])
+    assert given == [frame.number for frame in frames]

@@ -87,8 +87,8 @@ def score_drives(
     """
     select(rivals)  # refuse before the work
     track, moving = following.track, following.moving(labelled)
-    if track and (others_of := [one for one in sensors if one is not Sensor.LIDAR]):
-        fix = "Leave --track out: what follows vehicles takes pictures and a LiDAR's points."
+    if track and (others_of := [one for one in sensors if one is Sensor.DEPTH]):
+        fix = "Leave --track out: what follows vehicles takes pictures, a LiDAR's points and right images."
         raise InvalidInputError("track", f"with {', '.join(others_of)}", fix)
 
     def read(folder: Path) -> Drive:
@@ -110,7 +110,7 @@ def score_drives(
             scored.setups,
             forget_ids=following.forget_ids or how.detect,
             estimate_motion=moving,
-            lidar=Sensor.LIDAR in sensors,
+            sensors=sensors,
             advance=counting(advance, "Followed", (1 + moving) * len(scored.frames)),
         )
     return replace(scored, boxes=boxes)
