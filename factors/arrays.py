@@ -1,4 +1,4 @@
-"""Arrays of floats, by one name."""
+"""Type aliases of float arrays."""
 
 from __future__ import annotations
 

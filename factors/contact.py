@@ -1,4 +1,4 @@
-"""A vehicle stands on the ground, whose plane is a variable: what ties the vehicles of an image together.
+"""Ground contact: a vehicle stands on the plane G(t), a variable that the vehicles of an image share.
 
 The plane normal . x = distance is given by its difference (h, a, b) from a nominal one n0 . x = d0:
 

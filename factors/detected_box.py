@@ -1,4 +1,4 @@
-"""The pose of a 3D box that another detector gives, as evidence about the pose: direction, distance and yaw.
+"""Pose prior from another detector's 3D box: direction, distance and yaw.
 
     r = ( x/z - x0/z0,  y/z - y0/z0,  log(z / z0) )     the origin, 3 rows: tangents of angles, and a ratio
     r = yaw - yaw0, modulo half a turn                  the yaw, 1 row: radians

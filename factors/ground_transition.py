@@ -1,4 +1,4 @@
-"""The ground from one image to the next: its plane is kept, and carried along with the camera.
+"""Ground plane from one image to the next: kept, and carried along with the camera's motion.
 
     G(t) ---- same ground (3) ---- G(t')
 

@@ -1,4 +1,4 @@
-"""Keypoints where they are projected and where they were measured: E_reproj of the paper's section III-C, whitened.
+"""Reprojection residuals of keypoints, whitened: E_reproj of the paper's section III-C.
 
     r_i = W_i (pi(K (R X_i(lambda, offsets) + t)) - x_i),    W_i' W_i = Sigma_i^-1
 

@@ -1,4 +1,4 @@
-"""What is left of variables that are taken out of a graph: a linear factor on those that they were tied to.
+"""Marginalisation: eliminated variables leave a linear factor on their neighbours in the graph.
 
 About the values x0 at which the graph was linearised, the variables that leave, eliminated (Schur's complement), leave
 

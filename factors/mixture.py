@@ -1,4 +1,4 @@
-"""A residual that is right, with a Gaussian error, or wrong: the loss, and its rows for a solver of least squares.
+"""Inlier-outlier mixture: a residual with a Gaussian error, or a wrong one; its loss, and its least-squares rows.
 
 With a the density of a right point at its place, b that of a wrong one, and s = ||r||^2 the squared whitened residual,
 

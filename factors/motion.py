@@ -1,4 +1,4 @@
-"""How a vehicle moves from one image to the next: constant velocity and turn rate, and what a wheeled vehicle can do.
+"""Motion model from one image to the next: constant velocity and turn rate, and what a wheeled vehicle can do.
 
     X(v,t) ---+--- motion (6) ---+--- X(v,t')
               |                  |

@@ -1,4 +1,4 @@
-"""Noise models of factors, from covariances and standard deviations that are checked."""
+"""Noise models of factors, from checked covariances and standard deviations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Everything that an image says of a vehicle in one factor: keypoints, box, ground and the barrier at the camera.
+"""All that an image says of a vehicle in one factor: keypoints, box, ground and the barrier at the camera.
 
 Each term's rows are written once (`factors.keypoint_rows`, `factors.box`, `factors.ground`), and once more in the
 compiled kernel, which does the work where it is there. Keypoints and edges that may be wrong are so inside the factor

@@ -1,4 +1,4 @@
-"""Measured points of a sensor whose place is not quite known: a factor on pose, lambda and the error of the place.
+"""Measured points of a sensor with uncertain extrinsics: a factor on pose, lambda and the extrinsics' error.
 
     p' = E p,    E = Exp(e)
 

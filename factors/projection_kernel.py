@@ -1,4 +1,4 @@
-"""One evaluation of all keypoints per linearisation point.
+"""Keypoint projections and derivatives, evaluated once per linearisation point.
 
 What costs in a Python factor is numpy's overhead per call, not the arithmetic. `ProjectionKernel` therefore projects
 all keypoints at once, with all their Jacobians, for one factor that has all that an image says of a vehicle

@@ -1,4 +1,4 @@
-"""What a sensor beside the keypoints says of one vehicle in one image: a factor on its pose and lambda.
+"""Measurements of one vehicle in one image by other sensors than the camera: a factor on pose and lambda.
 
     X(v,t) ----+---- points, mask or range ---- L(v)
                +---- depth map ---- D(t,n)

@@ -1,4 +1,4 @@
-"""Terms about a vehicle's shape: what they are made of, their factors, and the one place where they are registered.
+"""Shape terms: their parts, their factors, and the one place where they are registered.
 
 A term is one object: its name, whether it says something about a vehicle, its variables beside the shape's, and its
 factors. Its rows are a function of the keypoints X (K, 3) and of a plane (n, d), written once; `shape_factor` chains

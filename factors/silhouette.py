@@ -1,4 +1,4 @@
-"""A vehicle's silhouette in the image: the outline of its surface is where the mask ends. In pixels, whitened.
+"""Silhouette term: the outline of the projected surface is the edge of the mask. In pixels, whitened.
 
     r_k = D(pi(R x_k(lambda) + t)) / sigma,    r'_k = d_k . (pi(R x_k(lambda) + t) - m_k) / sigma
 

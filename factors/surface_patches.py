@@ -1,4 +1,4 @@
-"""A vehicle's surface as small plane patches that move linearly with lambda, and which of them is next to a point.
+"""Surface of a vehicle as planar patches that move linearly with lambda, and the patch nearest to a point.
 
 Every triangle of the mesh is a patch: its centre moves with lambda, its normal is the mean shape's. Which one is next
 to a point is looked up in a grid over the mean shape, to which points are brought by the vehicle's size, and then among

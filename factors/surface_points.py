@@ -1,4 +1,4 @@
-"""Measured points on a vehicle's surface: LiDAR, RGB-D, stereo. Residual in metres, whitened.
+"""Distance of measured points (LiDAR, RGB-D, stereo) from a vehicle's surface. Residual in metres, whitened.
 
     q = R' (p - t),    r = n_k . (q - m_k - B_k lambda) / sigma
 

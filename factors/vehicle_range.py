@@ -1,4 +1,4 @@
-"""How far away a vehicle is, and how fast it comes or goes: a radar's, a range finder's or an ultrasonic sensor's.
+"""Range and range rate of a vehicle: of a radar, a range finder or an ultrasonic sensor.
 
     s = R' (o - t),    r = (|s - q(s, lambda)| - range) / sigma
 

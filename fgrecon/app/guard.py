@@ -1,4 +1,4 @@
-"""Keeps what a page may be sent within limits: size and time of uploads, and who asks."""
+"""Limits of what a page may be sent: size and time of uploads, and from whom."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A folder of photographs whose labels are righted: which come next, and the file that they are saved to."""
+"""A folder of photographs whose labels are corrected: their order, and the file that they are saved to."""
 
 from __future__ import annotations
 

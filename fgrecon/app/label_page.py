@@ -1,4 +1,4 @@
-"""The page that rights the labels of a folder: an image after the other, what the graph disagrees with first."""
+"""The page that corrects the labels of a folder, image by image, those that the graph disagrees with first."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a worker makes of a labelled photograph: what the graph disagrees with, and the labels as they are saved."""
+"""A worker's part of label correction: where the graph disagrees, and the labels as they are saved."""
 
 from __future__ import annotations
 

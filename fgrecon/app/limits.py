@@ -1,4 +1,4 @@
-"""What a service takes: how much at once, how long, and how much waits."""
+"""Limits of a service: request size, time, and length of the queue."""
 
 from __future__ import annotations
 

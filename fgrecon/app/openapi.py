@@ -1,4 +1,4 @@
-"""What the service says of itself: its OpenAPI document, made from what a request may have, and a page of it."""
+"""The service's OpenAPI document, made from the fields of a request, and a page of it."""
 
 from __future__ import annotations
 

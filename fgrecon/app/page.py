@@ -1,4 +1,4 @@
-"""The page: what a visitor gives at the left, what becomes of it at the right."""
+"""The page: input at the left, results at the right."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The photograph of the page: what is drawn on it, and boxes and keypoints that mouse and keys move."""
+"""The photograph of the page: overlays, and boxes and keypoints that mouse and keys move."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The photograph on the page, with what is drawn on it, and mouse and keys that edit it."""
+"""The photograph on the page with its overlays, and the mouse and keys that edit it."""
 
 from __future__ import annotations
 

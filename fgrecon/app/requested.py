@@ -1,4 +1,4 @@
-"""What is requested of a solve, in the words of `fgrecon reconstruct`, from a query or a form."""
+"""Settings of a solve from a query or a form, by the names of `fgrecon reconstruct`'s options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page shows of the cars below their table: from above, in 3D, step by step, other poses, files, code."""
+"""Tabs below the table of cars: from above, in 3D, step by step, alternative poses, files, code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What visitors can try: photograph and video of `fgrecon sample`."""
+"""Samples for visitors: photograph and video of `fgrecon sample`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the workers of a service do: uploaded files solved, and made into what was requested.
+"""Work of a service's processes: solve uploaded files, and make the requested outputs.
 
 They are run in processes of their own (`fgrecon.app.workers`), by the parts that commands are made of.
 """

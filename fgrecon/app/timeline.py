@@ -1,4 +1,4 @@
-"""The timeline of a car in a video as a chart: heading, speed, size, their bands, how probable another pose is."""
+"""Chart of a car in a video over time: heading, speed and size with their bands, probability of another pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an uploaded file is: known by its name's ending and, of texts, by a glance at the content. Readers check it."""
+"""Kind of an uploaded file, by its name's ending and, of texts, by a glance at the content. Readers check it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A video on the page: how far the work on it is, then the film, the timeline of each car, and its files."""
+"""A video on the page: progress, then the film, the timeline of each car, and its files."""
 
 from __future__ import annotations
 

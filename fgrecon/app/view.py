@@ -1,4 +1,4 @@
-"""What the page shows of an upload: made by a worker, as plain values and files."""
+"""What the page shows of an upload, as plain values and files made by a worker."""
 
 from __future__ import annotations
 

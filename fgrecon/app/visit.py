@@ -1,4 +1,4 @@
-"""A visitor of the page: the uploads, what is requested of them, and what was made; gone with the visitor."""
+"""A visitor's session: uploads, settings and results; deleted when the visitor leaves."""
 
 from __future__ import annotations
 

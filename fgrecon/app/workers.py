@@ -1,4 +1,4 @@
-"""Processes that work for a service, one piece each at a time, and the bounded queue before them."""
+"""A service's pool of worker processes, one job each at a time, and the bounded queue before them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is requested as a command and as Python: the same result without the page."""
+"""The same result without the page: the request as a command and as Python."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `fgrecon batch` does: files of many vehicles into a folder of Parquet, by a request with everything in it."""
+"""The service behind `fgrecon batch`: files of many vehicles into a folder of Parquet, by one request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One file to its vehicles: a photograph or keypoints read, solved, and what there is to warn of.
+"""Vehicles of one file: read a photograph or keypoints, solve, and collect warnings.
 
 Commands, the service and the page are made of it:
 

@@ -1,4 +1,4 @@
-"""The results of a run's folder, for whatever takes results by name."""
+"""Results of a run's folder by name, for export."""
 
 from __future__ import annotations
 

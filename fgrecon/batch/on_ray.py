@@ -1,4 +1,4 @@
-"""The same work by actors of a Ray cluster, their rows streamed back here.
+"""A run by actors of a Ray cluster, their rows streamed back here.
 
 Actors are driven one by one, as processes are, and not by a dataset of Ray Data: its restarts of actors that die cannot
 tell which row was to blame, and have been seen to stand still. (`Reconstructor` itself fits `map_batches`.)

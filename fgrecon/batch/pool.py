@@ -1,4 +1,4 @@
-"""Work by a few processes, each of which may die at any time without taking more than its own piece along.
+"""A pool of a few processes, each of which may die at any time without losing more than its own task.
 
 Every worker is a pool of one process, so that a death is known to be of the piece that it was working on and of no
 other: the worker is made again, and the piece tried again, then each of its parts. A part during which a worker dies

@@ -1,1 +1,1 @@
-"""Fits what results say of themselves to a detector, from labelled drives: what `fgrecon calibrate` does."""
+"""Calibration of a detector's uncertainty on labelled drives, the work of `fgrecon calibrate`."""

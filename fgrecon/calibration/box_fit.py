@@ -1,4 +1,4 @@
-"""Where the edges of a vehicle detector's boxes lie, beside those of the outlines: fitted to labelled vehicles."""
+"""Edges of a detector's boxes relative to vehicles' outlines, fitted to labelled vehicles."""
 
 from __future__ import annotations
 

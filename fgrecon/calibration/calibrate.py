@@ -1,4 +1,4 @@
-"""What `fgrecon calibrate` does: a detector's calibration fitted on labelled drives."""
+"""The service behind `fgrecon calibrate`: a detector's calibration fitted on labelled drives."""
 
 from __future__ import annotations
 

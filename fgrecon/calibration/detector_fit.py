@@ -1,4 +1,4 @@
-"""Fit to a detector what results say of themselves: how far its errors go together, and what its directions count.
+"""A detector's calibration by fit: correlation of its keypoints' errors, and the weight of its directions.
 
 Both from vehicles whose boxes are labelled, found by the detector and reconstructed. Drives are left out in turn to
 tell how well what was fitted holds elsewhere.

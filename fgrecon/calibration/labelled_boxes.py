@@ -1,4 +1,4 @@
-"""Labelled boxes of video drives, and how far what was found in them is off.
+"""Labelled boxes of video drives, and the errors of what was found in them.
 
 Cars and vans count that are at least 25 px high, largely occluded at most, and at most half outside the image (none
 that is cut off where labels have grades in the place of shares, as KITTI's tracking set), in the frames where nothing

@@ -1,4 +1,4 @@
-"""Labelled drives reconstructed and scored: which network scores each, and what becomes of their boxes.
+"""Labelled drives reconstructed and scored: the network that scores each, and the outcomes of their boxes.
 
 Where no vehicle is followed, a folder of single images is as good as a drive.
 """

@@ -1,4 +1,4 @@
-"""Frames of video drives, taken as single images: from pixels to poses, each scored by the label that it is of.
+"""Frames of video drives as single images: from pixels to poses, each scored by its label.
 
 Looked at are the labelled boxes that count, or where a setup has a vehicle detector all that it finds. Of those a
 labelled box has the one that overlaps it most, by more than half; a label without one is not scored but counted.

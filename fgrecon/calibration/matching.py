@@ -1,4 +1,4 @@
-"""Which detected box is which labelled one: by their overlap in the image."""
+"""Assignment of detected boxes to labelled ones by their overlap in the image."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors of a result by the regions that it claims for them."""
+"""Errors of a result in units of its claimed confidence regions."""
 
 from __future__ import annotations
 

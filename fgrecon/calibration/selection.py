@@ -1,4 +1,4 @@
-"""Which vehicles are annotated, and why the others are not."""
+"""Selection of the vehicles to annotate, and why the others are left out."""
 
 from __future__ import annotations
 

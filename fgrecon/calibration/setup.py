@@ -1,4 +1,4 @@
-"""What labelled vehicles are reconstructed with, and the tuned numbers of what is fitted to them."""
+"""Scene knowledge with which labelled vehicles are reconstructed, and the settings of the fits to them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a command becomes part of the command line: groups of options as one parameter.
+"""Commands as parts of the command line: groups of options as one parameter.
 
 A command's parameter whose type is a dataclass stands for its fields: each is an option, declared once where several
 commands share it, or a dataclass of further options. So a command gets its whole request as one value.

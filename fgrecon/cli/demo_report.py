@@ -1,4 +1,4 @@
-"""What `fgrecon demo` shows and writes: errors by stage, table, JSON, keypoint file. Imported when it runs."""
+"""Output of `fgrecon demo`: errors by stage, table, JSON, keypoint file. Imported when it runs."""
 
 from __future__ import annotations
 

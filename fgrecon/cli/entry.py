@@ -1,4 +1,4 @@
-"""The first that runs of the command line: Ctrl-C ends it without a traceback from here on."""
+"""Entry of the command line that runs first: Ctrl-C ends it without a traceback from here on."""
 
 from __future__ import annotations
 

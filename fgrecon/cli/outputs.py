@@ -1,4 +1,4 @@
-"""Outputs are refused before the work: that cannot be written, that are read, or that are the same file."""
+"""Checks of output paths before the work: those that cannot be written, are read, or are given twice are refused."""
 
 from __future__ import annotations
 

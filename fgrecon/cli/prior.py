@@ -1,4 +1,4 @@
-"""`fgrecon prior`: look at shape priors."""
+"""`fgrecon prior`: inspect shape priors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `fgrecon reconstruct` says: its table, and details of results. Imported when it runs."""
+"""Printed output of `fgrecon reconstruct`: its table, and details of results. Imported when it runs."""
 
 from __future__ import annotations
 

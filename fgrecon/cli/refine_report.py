@@ -1,4 +1,4 @@
-"""What `fgrecon refine` shows and writes beside the boxes: table and JSON. Imported when it runs."""
+"""Output of `fgrecon refine` beside the boxes: table and JSON. Imported when it runs."""
 
 from __future__ import annotations
 

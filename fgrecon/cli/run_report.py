@@ -1,4 +1,4 @@
-"""What `fgrecon run` shows and draws: viewers, video, picture, table, JSON. Imported when it runs."""
+"""Output of `fgrecon run`: viewers, video, picture, table, JSON. Imported when it runs."""
 
 from __future__ import annotations
 

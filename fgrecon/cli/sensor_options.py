@@ -1,4 +1,4 @@
-"""The options of other sensors' files, which several commands have."""
+"""Options for other sensors' files, shared by several commands."""
 
 from __future__ import annotations
 

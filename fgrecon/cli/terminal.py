@@ -1,4 +1,4 @@
-"""The terminal: how much a command says there, and where; progress; the files that it wrote."""
+"""The terminal: verbosity, streams, progress, and the list of written files."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What is known, what is asked and what comes back: frozen data, checks and errors. No I/O."""
+"""Inputs, options and results as frozen data, with their checks and errors. No I/O."""

@@ -1,4 +1,4 @@
-"""Arrays of floats, by one name in all rooms."""
+"""Type aliases of arrays, for all rooms."""
 
 from __future__ import annotations
 

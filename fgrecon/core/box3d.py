@@ -1,4 +1,4 @@
-"""A 3D box as other detectors give it, how far those err, and what of it is in an image."""
+"""A 3D box of another detector, its error model, and its part inside the image."""
 
 from __future__ import annotations
 

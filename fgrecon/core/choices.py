@@ -1,4 +1,4 @@
-"""What settings choose between by name, apart from what it does: the command line lists it before numpy is imported."""
+"""Enumerations of options, apart from what they do: the command line lists them before numpy is imported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether what estimates claim holds: how often the truth is in their regions, how often the probable is so.
+"""Calibration of estimates: coverage of confidence regions, and reliability of probabilities.
 
 An estimate claims a Gaussian; its region of a probability p holds the errors whose squares by its covariance are at
 most the chi-square quantile of p. Two baselines make regions that hold by construction where data are exchangeable

@@ -1,4 +1,4 @@
-"""Keypoints of one vehicle as a detector found them, with what it says beside them."""
+"""Keypoints of one vehicle by a detector, with its other outputs: direction, class, score."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was fitted to a keypoint detector: how far to trust its keypoints together, and its directions."""
+"""Calibration of a keypoint detector: correlation of its keypoints' errors, and the weight of its directions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known beside keypoints: of one vehicle with its observation, of all vehicles of an image with the call."""
+"""Evidence beside keypoints: of one vehicle with its observation, of all vehicles of an image with the call."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the other vehicles and the traffic say of which way a vehicle faces.
+"""Coupling of vehicles' headings: what the other vehicles and the traffic say of one.
 
 Vehicles near one another face alike in a row or lane, some metres beside it often not: of two whose headings are known
 but for half a turn, how far apart they are across them says how probable it is that they face alike. That is a weak

@@ -1,4 +1,4 @@
-"""What led to a result, made when first read: the steps of the optimisation, the graph's factors, and other ends."""
+"""A result's history, made when first read: the steps of the optimisation, the graph's factors, and other minima."""
 
 from __future__ import annotations
 

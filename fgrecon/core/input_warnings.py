@@ -1,4 +1,4 @@
-"""Inputs that are surely not what they are taken for: of one vehicle what must be wrong, of many what to warn of.
+"""Implausible inputs: what must be wrong about one vehicle, and the warnings for many.
 
 Such keypoints and cameras are solved nevertheless, since each of these can be right in an odd case; but the status of a
 result alone does not tell what to look for. The entries of Python warn (`warn_of`), each time that they are called;

@@ -1,4 +1,4 @@
-"""How far estimates are off: pure functions on arrays, one instance per row.
+"""Error metrics of estimates: pure functions on arrays, one instance per row.
 
 An instance for which a method fails, refuses or crashes carries NaN as its estimate. It then counts as 180 degrees of
 orientation error and as infinitely far away, and stays in every denominator: nothing is ever left out.

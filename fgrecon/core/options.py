@@ -1,4 +1,4 @@
-"""What can be set about a reconstruction, with the defaults and where they come from."""
+"""Options of a reconstruction, with their defaults and sources."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Grounds and numbers as options have them: texts, and numbers separated by commas."""
+"""Parsing of options' texts: grounds, and numbers separated by commas."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where results find what draws them: a package that says so by an entry point, as pandas does it.
+"""Plotting backends of results, found by entry point, as pandas does it.
 
 What computes knows nothing of drawing. fgrecon's own backend is `fgrecon.viz.notebook`, registered in `pyproject.toml`:
 

@@ -1,4 +1,4 @@
-"""Whether points can be where they are said to be: in metres, in the frame of the camera that took the image.
+"""Plausibility of points' unit and frame: metres, in the frame of the camera that took the image.
 
 Points of a scan, or of a depth map, have to fall into the image, onto the ground that is given and onto the vehicles.
 Where they do not, another frame or another unit is the likely cause: of all ways to exchange and reverse axes, and of

@@ -1,4 +1,4 @@
-"""What pools of processes need."""
+"""Set-up of process pools."""
 
 from __future__ import annotations
 

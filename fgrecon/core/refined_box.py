@@ -1,4 +1,4 @@
-"""What became of a detector's 3D box: the better one, what changed, and how sure that is."""
+"""Outcome of a refined 3D box: the better box, what changed, and its uncertainty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frozen data in one line: what it is and how large its arrays are, not every number of them."""
+"""Short repr of frozen data: the type and the arrays' shapes instead of every number."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robust strategies: how much each keypoint counts, given its residual, its confidence and its visibility.
+"""Robust strategies: the weight of each keypoint, given its residual, its confidence and its visibility.
 
 A strategy turns, for each keypoint, the squared Mahalanobis distance d^2 of its residual, the probability p that the
 detector's point is right (w_cnn of the paper) and the probability v that the keypoint is visible at the current pose

@@ -1,4 +1,4 @@
-"""How many digits of a result its small JSON keeps: more than anybody measures, far fewer than doubles have."""
+"""Rounding of results in compact JSON: to more digits than anybody measures, far fewer than doubles have."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Between arrays, enumerations and dataclasses and plain values, which keep every bit: of JSON, and of tables."""
+"""Lossless conversion of arrays, enumerations and dataclasses to plain values of JSON and tables, and back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How large vehicles are: mean and spread of length, width and height, of a fleet, a class, or a mix of classes."""
+"""Size prior: mean and spread of length, width and height of a fleet, a class, or a mix of classes."""
 
 from __future__ import annotations
 

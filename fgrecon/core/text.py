@@ -1,4 +1,4 @@
-"""Texts of unknown origin, as they may be shown and used as names."""
+"""Text of unknown origin, made safe to be shown and used as names."""
 
 from __future__ import annotations
 

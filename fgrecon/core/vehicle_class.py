@@ -1,4 +1,4 @@
-"""Which class of vehicle one is, as its own or another program names classes: evidence of its size."""
+"""Class of a vehicle, by its own or another program's name: evidence of its size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a tracker says of one vehicle in one frame."""
+"""A tracker's estimate of one vehicle in one frame."""
 
 from __future__ import annotations
 

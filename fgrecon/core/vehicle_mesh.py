@@ -1,4 +1,4 @@
-"""Car models as meshes, which of them a vehicle comes nearest to, and the colours of a vehicle's sides."""
+"""Car models as meshes: the nearest one to a vehicle, and the colours of its sides."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Boxes from what detectors and trackers return in Python: class, score and id are kept. None of them is imported.
+"""Boxes from the Python objects of detectors and trackers, with class, score and id. None of them is imported.
 
 Ids that are no numbers, as motpy's, become the CRC 32 of their text. Boxes of id -1, which `trackers` gives to all that
 it does not follow yet, are left out.

@@ -1,4 +1,4 @@
-"""What a photograph's file says of its camera: the focal length in its EXIF data.
+"""Camera of a photograph by its EXIF data: the focal length.
 
 EXIF gives the focal length in terms of a 35 mm film frame, whose diagonal is 43.27 mm, or in millimetres together with
 the pixels per millimetre of the sensor. Both are rounded, phones crop for their stabilisation, and what was cropped

@@ -1,4 +1,4 @@
-"""What the names of images tell of the frames that they are.
+"""Frame numbers and times from the names of images.
 
 | images named by | number of a frame | its time, seconds |
 |---|---|---|

@@ -1,4 +1,4 @@
-"""Whether files are what they were: hashes of those of the package, and parts that a later run takes over."""
+"""Integrity of files: hashes of those of the package, and parts that a later run takes over."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can kill its process runs in another one: decoders of other programs, on files of unknown origin.
+"""Decoders of other programs in a process of their own, on files of unknown origin that may kill it.
 
 Some decoders (SciPy's for MATLAB files, rerun's for recordings, those of ONNX) do not raise on damaged content but end
 the process. A child process that dies is an error like any other. It is started when it is first asked, which takes

@@ -1,4 +1,4 @@
-"""The poses of a moving camera, from files of others.
+"""Poses of a moving camera from files of other programs.
 
 | format | content |
 |---|---|

@@ -1,4 +1,4 @@
-"""What holds for every vehicle of a run: prior, ground, size and options; and as plain values for JSON."""
+"""Settings of a run for all vehicles: prior, ground, size and options; and as plain values for JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A frame of a video or of a folder of images, and which frames are taken."""
+"""A frame of a video or of a folder of images, and the selection of frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines of text and the numbers in them, as KITTI's data sets and others have them."""
+"""Lines of text and the numbers in them, in the manner of KITTI's files."""
 
 from __future__ import annotations
 

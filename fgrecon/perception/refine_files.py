@@ -1,4 +1,4 @@
-"""What `fgrecon refine` does: another detector's 3D boxes in files, refined image by image and written back."""
+"""The service behind `fgrecon refine`: 3D boxes in files, refined image by image and written back."""
 
 from __future__ import annotations
 

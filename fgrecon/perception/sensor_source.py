@@ -1,4 +1,4 @@
-"""What other sensors' files say of an image: from files, folders or patterns to evidence."""
+"""Evidence of an image from other sensors' files, folders or patterns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a keypoint network does to the truth: localisation noise, confidences, lost points and coherent confusions.
+"""Error model of a keypoint network: localisation noise, confidences, lost points and coherent confusions.
 
 `HOURGLASS` holds the numbers that `fgrecon_research.paper.keypoint_noise_fit` measured on 76 frames of KITTI tracking
 whose keypoints a stacked-hourglass network really found. Everything is relative to

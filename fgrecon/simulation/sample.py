@@ -1,4 +1,4 @@
-"""Small inputs to try everything with: a street with some cars, and one car over several images. All simulated."""
+"""Sample inputs, all simulated: a street with some cars, and one car over several images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What rendered scenes are made of: the paint of a car and a road to stand on. All simulated, all seeded."""
+"""Scenery of rendered scenes, simulated and seeded: the paint of a car, and a road to stand on."""
 
 from __future__ import annotations
 

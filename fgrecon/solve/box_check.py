@@ -1,4 +1,4 @@
-"""Whether the 2D boxes of images and their vehicles agree: boxes of another source than the options say stand out.
+"""Agreement between the 2D boxes of images and their vehicles: boxes of another source than the options say stand out.
 
 A box that is wrong by itself loses its weight in the solve. Boxes that are all wrong alike (loose ones, of what is
 visible alone, of the image at another size) pull every vehicle nearer or further away, which no single one tells.

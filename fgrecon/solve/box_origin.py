@@ -1,4 +1,4 @@
-"""Whether 3D boxes are given by the centres of their bottom faces or by their own centres."""
+"""Origin of 3D boxes: the centre of the bottom face, or of the box."""
 
 from __future__ import annotations
 

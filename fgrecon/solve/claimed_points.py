@@ -1,4 +1,4 @@
-"""Points of a scan that two vehicles of an image are on: one of them is in the other's place, before or behind its own.
+"""Points of a scan claimed by two vehicles of an image: one of them is in the other's place, before or behind its own.
 
 A vehicle that shows few points goes to those of the one that hides it, as long as each is solved by itself. The points
 are that one's with which the picture agrees more in that place, or of two that were seen before that one's which was

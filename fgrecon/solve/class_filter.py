@@ -1,4 +1,4 @@
-"""Of which class a vehicle is, by all of its frames: what each says is multiplied, as far as it is new.
+"""Class of a vehicle over time: the likelihoods of its frames are multiplied, as far as they are new.
 
 The shape of a vehicle starts from the mean of one class, so its frames are made anew for another (`with_model`) once
 they say something else than what that one was made for.

@@ -1,4 +1,4 @@
-"""Whether factors of the caller's own contradict images and shape prior: how much worse these fit than without them.
+"""Contradictions between the caller's own factors and the images: how much worse these fit than without them.
 
 Right factors bring an image from its minimum to the truth, which costs a few nats. Wrong ones cost more: they bring it
 to a pose that it does not show, or make the vehicle larger or smaller than such are.

@@ -1,4 +1,4 @@
-"""About what the numbers of a depth map are, where it is given up to scale, or scale and shift.
+"""Initial scale and shift of a depth map that is given up to scale, or up to scale and shift.
 
 The ground says so where it is given, and else the vehicles of the image, each at the pose that the picture alone leads
 to. Both are crude: a vehicle's depth by a picture is off by some percent, and so is a plane by its pitch, as which what

@@ -1,4 +1,4 @@
-"""A vehicle of which another detector has a 3D box: the box as evidence in its graph.
+"""A vehicle with another detector's 3D box: the box as evidence in its graph.
 
     detected origin, detected yaw --- X(v,t) --- keypoints, 2D box --- L(v), O(v) --- dimensions (of the box)
 

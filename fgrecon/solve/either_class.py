@@ -1,4 +1,4 @@
-"""How unsure a vehicle is that may be of several classes: one covariance for all of them, by matching moments.
+"""Covariance of a vehicle of unknown class: one for all classes that it may be of, by moment matching.
 
 A car and a van that look alike differ in size, and so in distance. The graph's covariances are those of one size; that
 the vehicle may be of another class is not in them. So from where a result is, its heading kept, the vehicle is solved

@@ -1,4 +1,4 @@
-"""Of which class a vehicle is, by its image too: solved as one of each that it may be, and how well each explains it.
+"""Class of a vehicle by its image: solved as one of each class, and compared by the energies.
 
 A fleet's vans that are taken for cars come out too near, and draw the ground that they share with all others along.
 Where a fleet has several classes (`SizePrior.mixed`), or another program is not sure of which one a vehicle is, it is

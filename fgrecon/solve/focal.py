@@ -1,4 +1,4 @@
-"""The focal length where nobody knows it: a variable that all vehicles of an image share.
+"""Unknown focal length: a variable that all vehicles of an image share.
 
 Nearness and a short focal length make a vehicle's image alike, and only perspective tells them apart: how much larger
 the near end looks than the far one. A vehicle alone tells little, several that are near tell much. The energy may have

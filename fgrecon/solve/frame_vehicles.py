@@ -1,4 +1,4 @@
-"""The vehicles of one frame: each looked at by itself, on what is known of the ground; then which way they face.
+"""Vehicles of one frame: each solved by itself, on what is known of the ground; then their headings together.
 
 Of the ground they tell what a vehicle of each class that they may be of does in their place, as far as it is probable.
 A van that is taken for a car comes out too near and too high, and would draw the ground along for all.

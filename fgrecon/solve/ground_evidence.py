@@ -1,4 +1,4 @@
-"""What the vehicles of one image say of the ground that they stand on together, as a factor on it."""
+"""Evidence of the ground from the vehicles of one image that stand on it together, as a factor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ground over time: what the vehicles of frame after frame say of the road under the camera.
+"""Filter of the ground plane over time, by the vehicles of frame after frame.
 
     given --- G(0) ---- road ---- G(1) ---- road ---- G(2)
                 |                   |                   |

@@ -1,4 +1,4 @@
-"""Which way the vehicles of an image face: by their detector, by one another, and by the traffic where it is given.
+"""Headings of an image's vehicles: by their detector, by one another, and by the traffic where it is given.
 
     right(0) ----- alike? ----- right(1) ----- alike? ----- right(2)
         |                           |                           |

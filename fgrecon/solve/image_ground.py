@@ -1,4 +1,4 @@
-"""The ground of an image as the variable G(t), and its vehicles, each of which stands on it.
+"""Ground plane of an image as the variable G(t), and the vehicles that stand on it.
 
 How far cars are off a plane that is given (`Ground`) is mostly the plane's fault, pitch above all, and the
 same for all of them; so that part of the plane's uncertainty is the prior's of G, and what is left is each vehicle's

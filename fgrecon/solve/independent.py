@@ -1,4 +1,4 @@
-"""The vehicles of an image one by one: where a scene begins (`fgrecon.solve.scene`).
+"""Independent solves of an image's vehicles, the start of a scene (`fgrecon.solve.scene`).
 
 Detectors flip some 3D boxes, and keypoint networks some vehicles; a graph that believes in its keypoints follows those
 whatever the box says. So which way a vehicle with such a box faces is decided as over time

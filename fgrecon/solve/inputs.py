@@ -1,4 +1,4 @@
-"""What callers give, checked and made ready: the one place for every entry of `solve`, and so for the command line."""
+"""Input checks and set-up: the one place for every entry of `solve`, and so for the command line."""
 
 from __future__ import annotations
 

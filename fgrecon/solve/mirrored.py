@@ -1,4 +1,4 @@
-"""Whether keypoints fit better with left and right exchanged: of a mirrored image, or by the sides of who looks."""
+"""Detection of mirrored keypoints: of a mirrored image, or with left and right by the viewer's sides."""
 
 from __future__ import annotations
 

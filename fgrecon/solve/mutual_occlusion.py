@@ -1,4 +1,4 @@
-"""What the nearer vehicles of an image hide of the others.
+"""Occlusion of an image's vehicles by nearer ones.
 
 It is in the results and is no evidence: a network that has learnt from traffic places hidden keypoints about as
 well as it says, and without them poses were no better (docs/history/size.md).

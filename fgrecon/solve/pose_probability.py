@@ -1,4 +1,4 @@
-"""How probable a result's pose is, and each of the other poses that explain its keypoints.
+"""Probability of a result's pose, and of each alternative that explains its keypoints.
 
 Which way a vehicle faces is the detector's directions to say, where it has any; the energies add nothing to them. What
 else tells poses apart is their energy, but keypoints err together, so that a nat of it is worth less than a nat of

@@ -1,4 +1,4 @@
-"""From a vehicle solved with a detector's 3D box to a better box, or to the same one where the image says little."""
+"""Refinement of a detector's 3D box by a vehicle's solve; the same box where the image says little."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the state at which the optimisation ended to the result, and how far to trust it."""
+"""The result of an optimisation's final state, with its uncertainty and status."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ground of an image by measured points: a plane through the lowest of each place, as sure as roads are planes.
+"""Road plane by measured points: through the lowest point of each cell, as sure as roads are planes.
 
 Points of a scan or of a depth map in metres ---- the lowest in each cell of the ground ---- robust plane ---- `Ground`
 

@@ -1,4 +1,4 @@
-"""The tuned numbers of the stages that are in `solve` itself: which way vehicles face, scenes, the road, and status."""
+"""Settings of the stages that are in `solve` itself: headings, scenes, the road, and status."""
 
 from __future__ import annotations
 

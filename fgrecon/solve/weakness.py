@@ -1,4 +1,4 @@
-"""Why a result that converged is weak: little carries it, or it is at the edge of what was said beforehand.
+"""Reasons why a converged result is weak: few keypoints carry it, or it is at the edge of what was given.
 
 Chosen on five drives of KITTI's video and tested on two others (`docs/reference/result.md`). What is said of a focal
 length that was found holds for all vehicles that tell it.

@@ -1,4 +1,4 @@
-"""Which detected vehicle is which of those observed before: gates, and scipy's assignment.
+"""Data association of detected vehicles with those observed before: gates, and scipy's assignment.
 
     boxes of tracks, predicted ----+
                                    +---- gates, costs ---- assignment ---- ids; births; re-births; deaths

@@ -1,4 +1,4 @@
-"""Where the camera is, frame by frame: by given poses, or by the motions that the images tell."""
+"""Poses of the camera frame by frame: given, or integrated from the motions between images."""
 
 from __future__ import annotations
 

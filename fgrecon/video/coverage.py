@@ -1,4 +1,4 @@
-"""Whether what is given by frame, the camera's poses and the vehicles, is of the frames that there are."""
+"""Check that what is given by frame, the camera's poses and the vehicles, is of frames that there are."""
 
 from __future__ import annotations
 

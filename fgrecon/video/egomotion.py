@@ -1,4 +1,4 @@
-"""How a camera has moved between two images: points off the vehicles, tracked; the scale from the ground below it.
+"""Visual odometry between two images: tracked points off the vehicles; the scale from the ground below the camera.
 
     point i of the image before: ray x_i, inverse depth rho_i ----- reprojection in the image after ----- motion R, t
                                         |

@@ -1,4 +1,4 @@
-"""From what each frame shows to tracked vehicles: ids, the camera's pose in the world, and a tracker's estimates.
+"""Tracking of a video: ids, the camera's pose in the world, and a tracker's estimates, frame by frame.
 
 record of a frame ---- ids (given, or by association) ---- tracker ---- estimates of this frame
        |                          ^                           |

@@ -1,4 +1,4 @@
-"""What a frame shows: boxes by the detector or given, keypoints by the networks or given."""
+"""Detection in a frame: boxes by the detector or given, keypoints by the networks or given."""
 
 from __future__ import annotations
 

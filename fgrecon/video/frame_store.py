@@ -1,4 +1,4 @@
-"""The frames of a run, kept in a file: of a long video memory holds only what tells of each frame in a line.
+"""Frames of a run, kept in a file: of a long video, memory holds a line for each frame.
 
 The file has no name and is gone with the run, whatever ends it.
 """

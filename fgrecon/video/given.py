@@ -1,4 +1,4 @@
-"""Vehicles of a video that others have found: boxes or keypoints by frame, with ids or without.
+"""Vehicles of a video from other programs: boxes or keypoints by frame, with ids or without.
 
 | file | what is in it |
 |---|---|

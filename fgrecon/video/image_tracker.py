@@ -1,4 +1,4 @@
-"""One image after the other in, estimates of the tracked vehicles out: for whoever has images and no keypoints.
+"""Tracker of images: one image after the other in, estimates of the tracked vehicles out.
 
 image ---- FrameDetector: boxes, keypoints ---- Follower: ids, by association ---- fgrecon.Tracker ---- estimates by id
 """

@@ -1,4 +1,4 @@
-"""How the camera itself has moved from frame to frame: looks at one image after the other and remembers the last."""
+"""The camera's own motion from frame to frame, image by image; the last one is remembered."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Live input: the newest frame is worked on next, and those that it overtakes are left out, so that no delay builds up.
+"""Live input: the newest frame is next, and those that it overtakes are skipped, so that no delay builds up.
 
 camera ---- thread: takes what comes ---- newest ---- who works on it, as long as it takes
                                       +-- those before it, which are left out

@@ -1,4 +1,4 @@
-"""What each frame of a video shows, before anything is solved; stored so that networks look at a frame once.
+"""Records of what each frame of a video shows, before anything is solved; stored so that networks see a frame once.
 
 How the camera moved is stored beside it: it depends on camera and ground, which the networks do not know.
 Numbers are stored with every bit: a run that goes on from what is stored gives the results of one that was not stopped.

@@ -1,4 +1,4 @@
-"""The results of a video as rows of tables, as KITTI's tracking lines, and as a JSON line for each frame."""
+"""Results of a video as rows of tables, as KITTI's tracking lines, and as a JSON line for each frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run over a video: frames are looked at once and stored, followed in order, and smoothed as vehicles go.
+"""A run over a video: frames are detected once and stored, tracked in order, and smoothed as vehicles leave.
 
     frames ---- look (networks; slow) ---- records, stored ---- follow (fast) ---- frames with estimates ---- smoothed
        |                                                           |

@@ -1,4 +1,4 @@
-"""Every image on its own: a tracker that knows no motion, to compare with."""
+"""Baseline tracker without motion: every image on its own."""
 
 from __future__ import annotations
 

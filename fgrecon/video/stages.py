@@ -1,4 +1,4 @@
-"""Stages of a run side by side: each in a thread of its own, and no more than some frames ahead of the next.
+"""Pipeline of a run: each stage in a thread of its own, and no more than some frames ahead of the next.
 
     frames -- queue -- boxes -- queue -- keypoints -- queue -- the camera's motion -- queue -- who takes them (solves)
 

@@ -1,4 +1,4 @@
-"""What `fgrecon run` does, from a request to the folder of results: `prepare_video`, `track_video`, `write_tracks`.
+"""The service behind `fgrecon run`, from request to folder: `prepare_video`, `track_video`, `write_tracks`.
 
 VideoRequest ---- prepare_video (read, check, find the camera) ---- VideoJob ---- track_video ---- VideoRun
 """

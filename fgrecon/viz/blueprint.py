@@ -1,4 +1,4 @@
-"""How the viewer lays out each kind of recording."""
+"""Layout of the viewer for each kind of recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Words for a reconstruction: the text log and summary of a recording, the titles and caption of a picture."""
+"""A reconstruction in words: the text log and summary of a recording, the titles and caption of a picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The names of everything in a recording: entities, timelines and the components of the exact history.
+"""Names in a recording: entities, timelines and the components of the exact history.
 
 | entity | what | when |
 |---|---|---|

@@ -1,4 +1,4 @@
-"""The factor graph of a recording: variables in the middle, keypoints' factors above, all others below.
+"""Drawing of the factor graph in a recording: variables in the middle, keypoints' factors above, all others below.
 
 Of several frames it is a table: a row for each, what they share on its right, and what ties them between the rows.
 """

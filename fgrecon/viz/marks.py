@@ -1,4 +1,4 @@
-"""What is drawn onto a photograph with matplotlib: the crop itself, wireframes, keypoints, residuals, boxes."""
+"""Drawing onto a photograph with matplotlib: the crop itself, wireframes, keypoints, residuals, boxes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How results draw themselves: the plotting backend that `Reconstruction.plot` and notebooks find by its entry point.
+"""The plotting backend of `Reconstruction.plot` and notebooks, found by its entry point.
 
 A result knows neither its camera nor what it was solved from: its final wireframe is drawn. `fgrecon.viz.picture` draws
 the stages as well, where both are given.

@@ -1,4 +1,4 @@
-"""Triangles as a camera sees them: car models laid over the photograph, and which parts of lines something hides."""
+"""Occlusion of drawn triangles: car models laid over the photograph, and the hidden parts of lines."""
 
 from __future__ import annotations
 

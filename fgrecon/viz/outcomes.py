@@ -1,4 +1,4 @@
-"""Pictures, animations and recordings of solved tasks: what commands and the page show of them."""
+"""Pictures, animations and recordings of solved tasks, for commands and the page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads a recording back as arrays, without a viewer: a recording is data, not only a picture."""
+"""Reader of a recording as arrays, without a viewer: a recording is data, not only a picture."""
 
 from __future__ import annotations
 

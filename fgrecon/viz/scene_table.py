@@ -1,4 +1,4 @@
-"""Beside a scene from above: the vehicles' numbers, and what the lines mean."""
+"""The table and legend beside a scene from above."""
 
 from __future__ import annotations
 

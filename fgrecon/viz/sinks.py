@@ -1,4 +1,4 @@
-"""Where recordings go: a file, a viewer that listens, or a viewer of their own on this machine."""
+"""Destinations of recordings: a file, a viewer that listens, or a viewer of their own on this machine."""
 
 from __future__ import annotations
 

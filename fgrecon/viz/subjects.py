@@ -1,4 +1,4 @@
-"""What recordings and pictures are made of: vehicles, what they were reconstructed from, and what is true of them."""
+"""Subjects of recordings and pictures: vehicles, their inputs, and the truth where it is known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Short names on small plates, placed so that none covers another."""
+"""Short labels on small plates, placed so that none covers another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One entry to calibration files: the format follows from what a file holds."""
+"""One entry to calibration files: the format follows from the content."""
 
 from __future__ import annotations
 

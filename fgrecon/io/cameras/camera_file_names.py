@@ -1,4 +1,4 @@
-"""Which of several cameras of a file is meant."""
+"""Selection of one of several cameras of a file by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The camera of an image from whatever is given: a calibration file, numbers, EXIF data; of it or of a part of it."""
+"""Camera of an image from a calibration file, numbers or EXIF data; of the whole image or of a part of it."""
 
 from __future__ import annotations
 

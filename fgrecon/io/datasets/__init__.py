@@ -1,4 +1,4 @@
-"""Data sets of drives, each read by a module of this folder: one description of all, and which of them a path is.
+"""Data sets of drives, one module each: one description of all, and the data set that a path belongs to.
 
 A path may be followed by what is meant of it: `PATH#SEQUENCE/CAMERA`, `PATH#SEQUENCE` where it has one camera, and
 `PATH#CAMERA` where it has one sequence.

@@ -1,4 +1,4 @@
-"""What a data set has of a drive: the images of its cameras with their poses, and the 3D boxes around them.
+"""Description of a data set's drive: the images of its cameras with their poses, and the 3D boxes around them.
 
 Every reader of this folder gives the same: axes and quaternions, centres and bottoms, orders of sizes are dealt with
 there. The world's frame is the data set's own; it is the same for all images and boxes of a sequence.

@@ -1,4 +1,4 @@
-"""What other programs want to know of the images that results are from: tokens, times, poses of the camera."""
+"""Metadata of the images behind results, for other programs: tokens, times, poses of the camera."""
 
 from __future__ import annotations
 

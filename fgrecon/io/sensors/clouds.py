@@ -1,4 +1,4 @@
-"""Points of one scan from files, as the files have them.
+"""Points of one scan from files, in the files' own frame and unit.
 
 | ending | content |
 |---|---|

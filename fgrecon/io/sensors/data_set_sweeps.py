@@ -1,4 +1,4 @@
-"""The LiDAR's sweeps of a data set as evidence: which one belongs to an image, and where its points are."""
+"""LiDAR sweeps of a data set as evidence: the one that belongs to an image, in the camera's frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a LiDAR is, and its points in the frame of a camera, from files of any format (`fgrecon.io.sensors.clouds`)."""
+"""LiDAR extrinsics, and points in the frame of a camera, from files of any format (`fgrecon.io.sensors.clouds`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which file of a sensor belongs to an image: a file alone, a folder of files named as the images, or a pattern."""
+"""A sensor's file that belongs to an image: a file alone, a folder of files named as the images, or a pattern."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From likelihood maps to positions, confidences and covariances. Plain numpy."""
+"""Decoding of likelihood maps to positions, confidences and covariances. Plain numpy."""
 
 from __future__ import annotations
 

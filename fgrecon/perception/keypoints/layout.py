@@ -1,4 +1,4 @@
-"""What the networks are made of: their sizes, and their layers by the names that files have for them.
+"""Architecture of the networks: sizes, and layers by the names that files have for them.
 
 `networks` says what is computed with them, `on_torch` and `on_onnx` on what.
 """

@@ -1,4 +1,4 @@
-"""What the networks compute, written once for every runtime: PyTorch computes it, ONNX Runtime gets a graph of it.
+"""Forward pass of the networks, written once for every runtime: run by PyTorch, or as a graph by ONNX Runtime.
 
 image (3, S, S) -- EfficientNet-lite0 up to stride 32 --+-- mean -- azimuth, kind: logits over directions, kinds
                     | 4    | 8    | 16    | 32          |

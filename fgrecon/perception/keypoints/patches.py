@@ -1,4 +1,4 @@
-"""Patches around KNet's estimates, and what they say together: the numbers before and after the refinement networks."""
+"""Patches around KNet's estimates: the input and output of the refinement networks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""ONNX Runtime, which runs networks faster than PyTorch and OpenCV do, and how many threads networks have."""
+"""Sessions of ONNX Runtime, which is faster than PyTorch and OpenCV, and the number of the networks' threads."""
 
 from __future__ import annotations
 

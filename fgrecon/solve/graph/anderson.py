@@ -1,4 +1,4 @@
-"""Anderson's acceleration of an iteration whose steps shrink slowly."""
+"""Anderson acceleration of a fixed-point iteration that converges slowly."""
 
 from __future__ import annotations
 

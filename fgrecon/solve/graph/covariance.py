@@ -1,4 +1,4 @@
-"""How sure the result is: marginal covariances of the joint graph at its minimum."""
+"""Marginal covariances of the joint graph at its minimum."""
 
 from __future__ import annotations
 

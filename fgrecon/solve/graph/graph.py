@@ -1,4 +1,4 @@
-"""One graph of everything that is solved together: observations of vehicles in images, and factors of the caller's own.
+"""Factor graph of all that is solved together: observations of vehicles in images, and the caller's own factors.
 
 One image of one car is the smallest case: a `VehiclePart`, an `ObservationPart`. Further images of the car add
 observation parts on the same vehicle part; further cars add both. Factors of the caller's own tie any of their

@@ -1,4 +1,4 @@
-"""Tuned numbers of the graph's optimisation, in one place."""
+"""Settings of the graph's optimisation, in one place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which of its modes each image of a vehicle is in: a discrete factor graph over the images, a chain.
+"""Mode of each image of a vehicle: a discrete factor graph over the images, a chain.
 
     mode(0) ---- turn ---- mode(1) ---- turn ---- mode(2) ...
         |                       |                       |

@@ -1,4 +1,4 @@
-"""From proposals to the minimum: every mode that matters is refined in the graph, and the full energy decides.
+"""Multi-start optimisation: every mode that matters is refined in the graph, and the full energy decides.
 
 One car in one image: each proposal that came close is refined with a shape of its own, and the lowest energy wins.
 Where that rests on few keypoints, it is searched once more from there (`fgrecon.solve.proposals.restarts`).

@@ -1,4 +1,4 @@
-"""What a graph holds of a vehicle in one image: its pose, and the terms that are about what is observed there.
+"""Part of the graph about a vehicle in one image: its pose, and the terms of what is observed there.
 
                     keypoints, box, cheirality
     L(v), O(v) --------------------------------- X(v,t) --- height, upright (the ground)

@@ -1,4 +1,4 @@
-"""The minimum of a graph's energy, for one image of a car as for a track.
+"""Minimisation of a graph's energy, for one image of a car as for a track.
 
 Where the robust losses are inside the factors Newton's method finds it (`fgrecon.solve.graph.newton`). The m-estimators
 and the paper's strategies are iteratively re-weighted least squares: weights are made from the residuals, visibility

@@ -1,4 +1,4 @@
-"""What a graph holds of what other sensors say of a vehicle in one image: points, its silhouette, its range."""
+"""Part of the graph about other sensors' evidence of a vehicle in one image: points, its silhouette, its range."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the points of a sensor have wrong together, as variables of a graph: depth maps' scale, a LiDAR's place.
+"""Errors that all points of a sensor share, as variables of the graph: depth maps' scale, a LiDAR's extrinsics.
 
     L(v) --- X(v,t) --- points ---+
     L(w) --- X(w,t) --- points ---+--- D(t,n) --- prior (how sure scale and shift, or the place, are)

@@ -1,4 +1,4 @@
-"""What a graph holds of a vehicle once, in however many images it is: its shape, and the terms about it.
+"""Part of the graph that a vehicle has once, in however many images it is: its shape, and the terms about it.
 
     prior --- L(v) ---+-----------+-------------+-----------+
     N(0, I) (lambda)  |           |             |           |

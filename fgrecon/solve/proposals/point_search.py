@@ -1,4 +1,4 @@
-"""The search where points were measured: poses of the picture, brought to the depths of the points.
+"""Pose search with measured points: poses of the picture, brought to the depths of the points.
 
 A picture does not tell size from depth: its poses face the right way and are metres too near or too far, where no point
 is on their surface and none pulls. So each of them is moved along its ray to where points begin, with the sizes of

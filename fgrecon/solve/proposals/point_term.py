@@ -1,4 +1,4 @@
-"""Measured points as an energy term of the search: those about where a vehicle's keypoints and box are, and not more.
+"""Measured points as an energy term of the search: those about a vehicle's keypoints and box, and no more.
 
 Taken are points on rays through the vehicle's 2D box, somewhat enlarged, at depths at which some vehicle fills it. That
 is generous on purpose: which of them are the vehicle's is decided by the energy (`factors.surface_points`).

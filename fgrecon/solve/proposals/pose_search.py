@@ -1,4 +1,4 @@
-"""Pose adjustment: the pose, and a first guess of the shape, from the keypoints of one image.
+"""Pose search: the pose, and a first guess of the shape, from the keypoints of one image.
 
 Two ways lead there. The strategies `paper` and `paper_literal` run the paper's Algorithm 1
 (`fgrecon.solve.proposals.irls`). With the others the vehicle is placed in the 2D box at azimuths all around, and at

@@ -1,4 +1,4 @@
-"""One vehicle in one image as a problem to be solved: noise models, confidences, the terms that apply."""
+"""The problem of one vehicle in one image: noise models, confidences, and the terms that apply."""
 
 from __future__ import annotations
 

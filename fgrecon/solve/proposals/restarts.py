@@ -1,4 +1,4 @@
-"""A second search where a pose rests on few keypoints: all round and about the pose, with a shape that moves.
+"""Restarts of the search where a pose rests on few keypoints: all round and about the pose, with a shape that moves.
 
 The first search moves the mean shape, which is quick, and enough wherever many keypoints hold the vehicle. Where three
 or four do, another shape meets one keypoint more, or the same ones from metres further away or with another tilt. Such

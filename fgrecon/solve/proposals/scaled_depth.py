@@ -1,4 +1,4 @@
-"""A depth map in metres, and the variables by which all its pixels may still be wrong together.
+"""A depth map in metres, and the variables of the errors that all its pixels share.
 
     z' = exp(a) z + b,    or    1 / z' = exp(a) / z + b    of an inverse depth
 

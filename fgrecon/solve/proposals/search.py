@@ -1,4 +1,4 @@
-"""Many poses at once: a vectorised Levenberg-Marquardt that keeps the best hypotheses."""
+"""Vectorised Levenberg-Marquardt over many poses at once, which keeps the best hypotheses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tuned numbers of the pose search, in one place."""
+"""Settings of the pose search, in one place."""
 
 from __future__ import annotations
 

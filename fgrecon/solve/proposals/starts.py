@@ -1,4 +1,4 @@
-"""Where the pose search starts: all around from a 2D box, from a guess, from a 3D box, from PnP."""
+"""Starts of the pose search: all around from a 2D box, from a guess, from a 3D box, from PnP."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""By how much a sensor's place is wrong for all of its points together, as six variables of an image."""
+"""Error of a sensor's extrinsics, which all of its points share, as six variables of an image."""
 
 from __future__ import annotations
 

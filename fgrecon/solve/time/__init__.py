@@ -1,1 +1,1 @@
-"""One vehicle over time: its heading by all frames, the graph of a window, and what is left of frames before it."""
+"""One vehicle over time: its heading by all frames, the graph of a window, and the marginal of earlier frames."""

@@ -1,4 +1,4 @@
-"""How far a camera may be astray: what each of its motions leaves unknown adds up along its way."""
+"""Drift of the camera's pose: the uncertainty of its motions, summed along its way."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A vehicle in one image, and in one frame of a video: values, of which a solve makes new ones."""
+"""A vehicle in one image, and in one frame of a video, as immutable values."""
 
 from __future__ import annotations
 

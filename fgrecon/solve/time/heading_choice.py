@@ -1,4 +1,4 @@
-"""Bring images of a vehicle to the side where it faces: to one of their poses there, or the keypoints flipped."""
+"""Images of a vehicle brought to a chosen heading: to one of their poses there, or with the keypoints flipped."""
 
 from __future__ import annotations
 

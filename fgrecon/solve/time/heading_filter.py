@@ -1,4 +1,4 @@
-"""Which way a vehicle faces, by all of its frames: a Bayes filter over a grid of headings.
+"""Heading of a vehicle over time: a Bayes filter over a grid of headings.
 
     heading(0) ---- turn ---- heading(1) ---- turn ---- heading(2) ...
         |                         |                         |

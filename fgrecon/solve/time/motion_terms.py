@@ -1,4 +1,4 @@
-"""The motion factors between two frames of one vehicle, and about its velocity in one.
+"""Motion factors between two frames of one vehicle, and on its velocity in one.
 
 Where the camera's own motion is known they are those of the category; else only that a vehicle's motion relative to the
 camera changes smoothly is left.

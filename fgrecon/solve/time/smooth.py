@@ -1,4 +1,4 @@
-"""The whole past of a vehicle at once: the facing of every frame by all of them, and one graph for a stretch of frames.
+"""Smoothing of a vehicle's past: the heading of every frame by all of them, and one graph for a stretch of frames.
 
 Long pasts are solved stretch by stretch; they overlap, and of an overlap each gives the half that is further inside.
 """

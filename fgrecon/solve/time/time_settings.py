@@ -1,4 +1,4 @@
-"""The tuned numbers of following vehicles over time.
+"""Settings of vehicles over time.
 
 Those that say so were chosen on KITTI's video; of the others it is not recorded on what.
 """

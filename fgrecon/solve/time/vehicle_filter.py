@@ -1,4 +1,4 @@
-"""A vehicle that is followed: each frame by itself first, then which way it faces, then the window's graph.
+"""Filter of one vehicle: each frame by itself first, then its heading, then the window's graph.
 
 The first frame is solved alone, as a single image is. Of later ones the pose search is enough, which starts where the
 motion leads as well: the window's graph solves them. The belief of the heading (`heading`) says which of a frame's

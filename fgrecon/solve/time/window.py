@@ -1,4 +1,4 @@
-"""Frames of one vehicle in one graph: poses, velocities, the shape, and what ties them together.
+"""Window of frames of one vehicle as one graph: poses, velocities, the shape, and the motion between them.
 
     X(0,t-9) --- motion --- X(0,t-4) --- motion --- X(0,t-1) --- motion --- X(0,t)
        |                       |                       |                      |

@@ -1,1 +1,1 @@
-"""A shape prior made ready for solving."""
+"""Shape priors prepared for solving."""

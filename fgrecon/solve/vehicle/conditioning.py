@@ -1,4 +1,4 @@
-"""A shape prior brought to a size: of one vehicle whose size is known, or of a fleet.
+"""Conditioning of a shape prior on a size: of one vehicle whose size is known, or of a fleet.
 
 Scaling a prior to a size (`ShapePrior.for_fleet`) stretches every part of the mean car alike. The size tells more:
 long, tall cars are vans and SUVs, whose parts lie elsewhere than those of a stretched saloon, and small cars have short

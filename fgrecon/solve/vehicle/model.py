@@ -1,4 +1,4 @@
-"""A shape prior made ready for solving: brought to a size, with visibility table and the points its box encloses."""
+"""A shape prior prepared for solving: conditioned on a size, with visibility table and the points its box encloses."""
 
 from __future__ import annotations
 

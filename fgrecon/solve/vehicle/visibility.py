@@ -1,4 +1,4 @@
-"""Which keypoints a camera can see: w_vis of Algorithm 1, by ray casting against the shape's surface.
+"""Visibility of keypoints: w_vis of Algorithm 1, by ray casting against the shape's surface.
 
 Keypoints lie off the surface (a wheel's centre behind the tyre, a lamp's centroid inside its glass), so a keypoint
 counts as visible where the ray from the camera meets the surface at most `TOLERANCE` before it. `cast` does so exactly,

@@ -1,4 +1,4 @@
-"""What is known of a vehicle's keypoints in one image."""
+"""Annotation of a vehicle's keypoints in one image."""
 
 from __future__ import annotations
 

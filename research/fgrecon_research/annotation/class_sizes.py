@@ -1,4 +1,4 @@
-"""Sizes of the classes of vehicles by KITTI's labels, and what other programs call these classes."""
+"""Sizes of vehicle classes by KITTI's labels, and the names of these classes in other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The keypoints of a vehicle whose 3D box is known in every image, by the factor graph.
+"""Keypoints of a vehicle whose 3D box is known in every image, by the factor graph.
 
     image t: reprojection of what a network found, robust --- X(0,t) --- labelled box
                         |

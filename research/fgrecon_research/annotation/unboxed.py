@@ -1,4 +1,4 @@
-"""The keypoints of vehicles of which only 2D boxes and tracks are known: their own reconstruction stands for the box.
+"""Keypoints of vehicles with 2D boxes and tracks alone: their own reconstruction stands for the 3D box.
 
 Nothing outvotes the network here but the other images of a vehicle, its neighbours and what is known of the scene: all
 images go through `fgrecon.Tracker`, whose smoothing decides which way each vehicle faces, and only images that it is

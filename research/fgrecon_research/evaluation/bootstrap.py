@@ -1,4 +1,4 @@
-"""How sure a table's numbers are: percentile intervals of the bootstrap."""
+"""Confidence intervals of a table's numbers: percentile bootstrap."""
 
 from __future__ import annotations
 

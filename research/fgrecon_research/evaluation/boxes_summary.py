@@ -1,4 +1,4 @@
-"""What 3D boxes against labels come to: overlaps, errors and average precision, by kind and distance.
+"""Summary of 3D boxes against labels: overlaps, errors and average precision, by kind and distance.
 
 Intervals are by bootstrap over tracks, or images of a folder of single ones. Average precision is the official one
 (`evaluation.kitti_devkit`), over all boxes of cars that a source gives; labels that something is drawn over may

@@ -1,4 +1,4 @@
-"""How far what results say of themselves can be trusted, from scored boxes: regions, facing, status."""
+"""Calibration of results' uncertainty by scored boxes: regions, facing, status."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One registry of every method that the tables compare, by name.
+"""Registry of all methods that the tables compare, by name.
 
 A method is bound once to what is known about the scene (shape prior, ground plane, fleet size) and then maps an
 observation and a camera to a pose. The part of a name after `+` says what the method is given: `+size` the mean size of

@@ -1,4 +1,4 @@
-"""What anybody would do with a camera and points of a LiDAR: baselines of the vehicles' places.
+"""Baselines of a vehicle's place from LiDAR points and a 2D box.
 
 `MEDIAN` puts a vehicle where the median depth of the points in its 2D box is, and half its length farther; `CUBOID`
 fits a cuboid of the fleet's size to those of the points that are near that depth and above the ground, by least squares

@@ -1,4 +1,4 @@
-"""Methods beside the picture alone on the labelled boxes of drives: with other sensors' evidence, and their rivals.
+"""Evaluation of other sensors' evidence on the labelled boxes of drives, beside the picture alone and rivals.
 
 | method | what it gets beside the picture |
 |---|---|

@@ -1,4 +1,4 @@
-"""What the boxes of video drives come to: by drive, by what can be seen of the vehicle, and with intervals.
+"""Summary of the boxes of video drives: by drive, by visibility of the vehicle, and with intervals.
 
 Boxes of one track show one vehicle and go wrong together, so the intervals draw whole tracks (bootstrap).
 """

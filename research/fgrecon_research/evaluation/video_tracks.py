@@ -1,4 +1,4 @@
-"""Boxes of video drives over time: the keypoints that single images gave, followed by labelled ids or without any.
+"""Boxes of video drives over time: keypoints of single images, tracked by labelled ids or without any.
 
 `ONLINE` is what `fgrecon.Tracker` says after each frame, by that one and those before; `BATCH` what it says at the end,
 by all. Both get what the single images got, and nothing else: the camera's own motion is not given, and velocities are

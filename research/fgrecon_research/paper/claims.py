@@ -1,4 +1,4 @@
-"""What the numbers say about the paper's claims, in sentences made from the numbers."""
+"""The paper's claims against the numbers, in sentences made from the numbers."""
 
 from __future__ import annotations
 

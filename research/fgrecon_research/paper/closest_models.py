@@ -1,4 +1,4 @@
-"""How well the right car model is found among 79: marked cars of known model, left out of the prior that fits them."""
+"""Retrieval of the right car model among 79: marked cars of known model, left out of the prior that fits them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far pose and shape are off where both are known: marked cars, each left out of the prior that fits it."""
+"""Errors of pose and shape where both are known: marked cars, each left out of the prior that fits it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How exactly people mark keypoints, fitted so that regions hold, and whether they hold elsewhere: ApolloCar3D.
+"""Accuracy of people's marks, fitted so that regions hold, and tested elsewhere: ApolloCar3D.
 
 Pose, size and keypoints of its cars are known. The standard deviation of a mark is fitted to the cars of one half of
 the images and tested on the other half, and the other way round; the prior of a car has not learnt from its model.

@@ -1,4 +1,4 @@
-"""The keypoint network on cars with marked keypoints, and what pose and shape adjustment make of what it finds."""
+"""The keypoint network on cars with marked keypoints, and pose and shape adjustment of its output."""
 
 from __future__ import annotations
 

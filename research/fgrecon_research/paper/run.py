@@ -1,4 +1,4 @@
-"""The whole evaluation: runs everything and puts it together."""
+"""The whole evaluation of the paper."""
 
 from __future__ import annotations
 

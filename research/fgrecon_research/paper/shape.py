@@ -1,4 +1,4 @@
-"""How much the shape stage improves the 3D keypoints: simulated views of real car models held out from the prior.
+"""Gain of the shape stage in 3D keypoints: simulated views of real car models held out from the prior.
 
 Twenty car models are held out, the prior is learnt again from the others, and each car is seen from poses like KITTI's
 with the mistakes of a real keypoint network (`fgrecon.simulation.keypoint_noise`). Errors are distances in the object

@@ -1,4 +1,4 @@
-"""What the paper's evaluation measures one after the other: real keypoints, and run times.
+"""Measurements of the paper's evaluation in one process: real keypoints, and run times.
 
 In a process of its own with one thread: times would otherwise depend on what the linear algebra does in parallel.
 """

@@ -1,4 +1,4 @@
-"""A picture of how far probabilities can be trusted: coverage of regions, and reliability of the facing."""
+"""Picture of calibration: coverage of regions, and reliability of the facing."""
 
 from __future__ import annotations
 

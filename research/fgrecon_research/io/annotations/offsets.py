@@ -1,4 +1,4 @@
-"""One offset that explains where many marks lie beside the keypoints that they mark."""
+"""A common offset of marks against the keypoints that they mark."""
 
 from __future__ import annotations
 

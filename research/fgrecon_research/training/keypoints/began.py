@@ -1,4 +1,4 @@
-"""What a training began with, by content: kept in its folder, and compared when it goes on there."""
+"""Fingerprint of a training's inputs: kept in its folder, and compared when it goes on there."""
 
 from __future__ import annotations
 

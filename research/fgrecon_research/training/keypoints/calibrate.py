@@ -1,4 +1,4 @@
-"""Confidences that mean what they say: fitted to samples of cars that the network has not learnt from."""
+"""Calibration of confidences on samples of cars that the network has not learnt from."""
 
 from __future__ import annotations
 

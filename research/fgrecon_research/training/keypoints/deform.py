@@ -1,4 +1,4 @@
-"""Smooth displacement fields that make other shapes of the cars in photographs.
+"""Smooth displacement fields that change the shapes of the cars in photographs.
 
 A field (S, S, 2) in pixels says where a deformed image takes its pixels from: pixel p shows what was at p + field(p).
 Shapes in the photographs are few, and the car models behind the labels fewer: a network that has seen each part in

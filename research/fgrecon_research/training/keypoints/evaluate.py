@@ -1,4 +1,4 @@
-"""How good the networks are: against keypoints marked by hand, and end to end on cars of known direction."""
+"""Evaluation of the networks: against keypoints marked by hand, and end to end on cars of known direction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""KNet as it is trained, on PyTorch: `fgrecon.perception.keypoints.networks` has what it computes, for inference.
+"""KNet in training, on PyTorch; `fgrecon.perception.keypoints.networks` has its forward pass for inference.
 
 The maps are logits: their softmax is the distribution of the keypoint's position that the paper trains against a
 Gaussian around the true one.

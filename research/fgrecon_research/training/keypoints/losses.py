@@ -1,4 +1,4 @@
-"""What the networks are trained to minimise."""
+"""Losses of the networks."""
 
 from __future__ import annotations
 

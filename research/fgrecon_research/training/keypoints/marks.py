@@ -1,4 +1,4 @@
-"""Keypoints marked by hand: the judge of the networks, never learnt from, and the few that the training is given."""
+"""Keypoints marked by hand: the test set of the networks, never learnt from, and the few that the training is given."""
 
 from __future__ import annotations
 

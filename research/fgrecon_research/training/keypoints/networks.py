@@ -1,4 +1,4 @@
-"""Everything that `fgrecon keypoints train` makes: KNet in rounds, the refinement networks, the calibration."""
+"""The whole of `fgrecon keypoints train`: KNet in rounds, the refinement networks, the calibration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trainings in a chain, as a settings file tells, in one folder.
+"""Trainings in a chain, by a settings file, in one folder.
 
 Each phase has a folder of its name there, and `phase.json` in it once it is finished: its settings, and hashes of what
 went in and of the network that came out. Started again, what is finished is taken over and the rest goes on. Where

@@ -1,4 +1,4 @@
-"""Silhouettes of cars for the training's first labels, drawn by a network for the main thing in a picture.
+"""Silhouettes of cars for the first labels, by a salient-object network.
 
 The network is IS-Net (Qin et al., Highly Accurate Dichotomous Image Segmentation, ECCV 2022; MIT licence) as the npm
 package `@imgly/background-removal-data` 1.4.5 carries it: an ONNX file in pieces, for images of 1024 x 1024. Nothing of

@@ -1,4 +1,4 @@
-"""What the trainings of all networks share: networks of files as tensors, the schedule, and steps that go on."""
+"""Training loop of all networks: networks of files as tensors, the schedule, and resumable steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What training samples are drawn from: views of cars by number, of one source or of several."""
+"""Sources of training samples: views of cars by number, of one source or of several."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the frame that factorisation happens to end in to the object frame, by the category's semantics alone."""
+"""Canonical object frame of a factorisation, by the category's semantics alone."""
 
 from __future__ import annotations
 

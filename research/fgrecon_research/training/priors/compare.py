@@ -1,4 +1,4 @@
-"""How far apart two shapes, or a prior and a set of real shapes, are when size and place do not count."""
+"""Distance between two shapes, or between a prior and real shapes, up to similarity."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What scaled orthography leaves out: the end of a vehicle that is nearer to the camera is imaged larger.
+"""Perspective correction of scaled orthography: the nearer end of a vehicle is imaged larger.
 
 To first order a point at depth zeta behind its shape's centre is drawn towards the image of that centre,
 
