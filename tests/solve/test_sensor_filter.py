@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from fgrecon import DepthMap, Points, Tracker
+from fgrecon import DepthMap, Observation, Points, Tracker
 from fgrecon.errors import InvalidInputError
 from fgrecon.solve.sensor_filter import SensorFilter, SharedError, VehicleSays
 from fgrecon.solve.solve_settings import SENSOR_FILTER
@@ -83,35 +82,42 @@ def test_sensors_are_known_apart() -> None:
     assert all(a is b for a, b in zip(rest, others, strict=True))
 
 
-def _follow(offset: float, sensor: str, frames: int, **given: Any) -> tuple[Tracker, list[float]]:
-    """A tracker after frames of three new cars each, whose sizes are as the prior's, and how far off cars were."""
+STREETS = 8
+
+
+@pytest.fixture(name="streets", scope="module")
+def _streets() -> list[tuple[list[Observation], np.ndarray]]:
+    """Three new cars each, whose sizes are as the prior's."""
+    return [street_of(np.random.default_rng(number).normal(size=(3, 5)), number) for number in range(STREETS)]
+
+
+def follow(streets: list[tuple[list[Observation], np.ndarray]], sensor: str) -> tuple[Tracker, list[float]]:
+    """A tracker after the streets, by depth maps with an offset, and how far off the cars of each were."""
     tracker, off = Tracker(options=OPTIONS), []
-    for number in range(frames):
-        shapes = np.random.default_rng(number).normal(size=(3, 5))
-        seen, depth = street_of(shapes, number)
-        one = DepthMap(1.0 / (1.0 / depth - offset), relative_sigma=0.02, sensor=sensor, **given)
-        cars = {3 * number + i: car for i, car in enumerate(seen)}
-        found = tracker.update(0.5 * number, cars, camera=CAMERA, ground=1.65, evidence=[one])
-        off.append(float(np.mean([depth_off(one.reconstruction.location) for one in found.values()])))
+    for number, (seen, depth) in enumerate(streets):
+        one = DepthMap(1.0 / (1.0 / depth - 0.005), relative_sigma=0.02, shared_sigma=0.005, sensor=sensor)
+        found = tracker.update(
+            0.5 * number,
+            {3 * number + i: car for i, car in enumerate(seen)},
+            camera=CAMERA,
+            ground=1.65,
+            evidence=[one],
+        )
+        places = [one.reconstruction.location for one in found.values()]
+        off.append(float(np.mean([min(np.linalg.norm(place - one) for one in PLACES) for place in places])))
     return tracker, off
 
 
-def depth_off(place: np.ndarray) -> float:
-    """How far a place is from the nearest of the street's cars, metres."""
-    return float(min(np.linalg.norm(place - one) for one in PLACES))
-
-
-def test_a_tracker_learns_the_offset_of_a_rig() -> None:
-    frames = 12
-    tracker, off = _follow(0.005, "rig", frames, shared_sigma=0.005)
+def test_a_tracker_learns_the_offset_of_a_rig(streets: list[tuple[list[Observation], np.ndarray]]) -> None:
+    tracker, off = follow(streets, "rig")
     (known,) = tracker._sensors.known.values()
-    assert len(known.by) == 3 * frames
-    mean, sigma = known.at(0.5 * frames)
-    assert sigma < 0.7 * 0.005
+    assert len(known.by) == 3 * STREETS
+    mean, sigma = known.at(0.5 * STREETS)
+    assert sigma < 0.8 * 0.005
     assert abs(mean - 0.005) < 2.0 * sigma
-    other, alone = _follow(0.005, "", frames, shared_sigma=0.005)
+    other, alone = follow(streets, "")
     assert not other._sensors.known
-    assert np.mean(off[frames // 2 :]) < 0.8 * np.mean(alone[frames // 2 :])
+    assert np.mean(off[STREETS // 2 :]) < 0.9 * np.mean(alone[STREETS // 2 :])
     before = tracker._sensors
     with pytest.raises(InvalidInputError, match="time"):
         tracker.update(0.0, {}, camera=CAMERA)
