@@ -15,20 +15,16 @@ import platform
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.markup import escape
-from rich.table import Table
 
 from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.serialise import finite
-from fgrecon.core.text import markdown_row
 from fgrecon.io.track_file import Track
 from fgrecon_research.evaluation.measures import THRESHOLDS, instances_within, orientation_precision
 from fgrecon_research.evaluation.run import MethodScores
-from fgrecon_research.evaluation.text_table import number_or_dash
+from fgrecon_research.evaluation.text_table import TextTable, number_or_dash
 
 FORMAT = "fgrecon_research.evaluation.tracks/1"
 STAGES = ("pose", "shape")
@@ -122,24 +118,10 @@ def to_json(content: Mapping[str, Any]) -> str:
     return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def table(scores: Sequence[MethodScores], *, narrow: bool = False) -> Table:
-    """The table for the terminal; a narrow one, of 80 columns, is without prior and number of failures."""
+def table(scores: Sequence[MethodScores], *, narrow: bool = False) -> TextTable:
+    """The table of all methods; a narrow one, for a terminal of 80 columns, is without prior and number of failures."""
     left_out = ("failed", "prior") if narrow else ()
-    rows = [{name: cell for name, cell in _cells(one).items() if name not in left_out} for one in scores]
-    result = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 0)) if narrow else Table()
-    for heading in rows[0]:
-        justify: Literal["left", "right"] = "left" if heading in ("method", "prior") else "right"
-        result.add_column(heading, justify=justify, no_wrap=not narrow or heading == "method")
-    for row in rows:
-        result.add_row(*map(escape, row.values()))
-    return result
-
-
-def markdown(scores: Sequence[MethodScores]) -> str:
-    """The same table as Markdown."""
-    rows = [_cells(entry) for entry in scores]
-    alignment = ["---", *["---:"] * (len(rows[0]) - 2), "---"]
-    return "".join(map(markdown_row, (list(rows[0]), alignment, *(list(row.values()) for row in rows))))
+    return TextTable.of([{name: cell for name, cell in _cells(one).items() if name not in left_out} for one in scores])
 
 
 def machine() -> dict[str, Any]:

@@ -33,9 +33,10 @@ class TextTable:
         title = f"**{self.title}**\n\n" if self.title else ""
         return title + "".join(map(markdown_row, (self.headings, rule, *self.rows)))
 
-    def shown(self) -> Table:
-        """As the terminal shows it: where it is narrow numbers are wrapped, never cut."""
-        table = Table(box=SIMPLE_HEAD, pad_edge=False, title=self.title or None)
+    def shown(self, *, tight: bool = False) -> Table:
+        """As the terminal shows it, maybe without padding: where it is narrow numbers are wrapped, never cut."""
+        padding = (0, 0 if tight else 1)
+        table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=padding, title=self.title or None)
         for number, heading in enumerate(self.headings):
             is_text = number < self.texts
             justify: Literal["left", "right"] = "left" if is_text else "right"

@@ -27,7 +27,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
-from fgrecon.simulation.vehicles import KITTI_CAMERA, SimulatedTruth, Vehicle, kitti_like_pose, simulate
+from fgrecon.simulation.vehicles import KITTI_CAMERA, SimulatedTruth, Vehicle
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.pipeline import reconstruct
@@ -36,6 +36,7 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 from fgrecon_research.evaluation.measures import THRESHOLDS, orientation_precision
 from fgrecon_research.evaluation.methods import NO_UPDATES, named_strategy
+from fgrecon_research.simulation import simulate_many
 from fgrecon_research.training.priors.apollo79 import DUPLICATE, Apollo79
 from fgrecon_research.training.priors.pca import SurfaceSamples, pca_prior
 
@@ -46,15 +47,8 @@ The mean shape is the state before either variant: at the true pose, and at the 
 coefficients of its own, from which the shape stage starts when the pose is estimated.
 """
 
-_TRIES = 1000
-
-
-@dataclass(frozen=True)
-class SimulatedView:
-    """One simulated view: what is observed, and the truth behind it."""
-
-    observation: Observation
-    truth: SimulatedTruth
+SimulatedView = tuple[Observation, SimulatedTruth]
+"""What is observed, and the truth behind it."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +92,7 @@ def simulate_views(
     views: list[SimulatedView] = []
     for i in models.index([name for name in names if name != DUPLICATE[1] or DUPLICATE[0] not in names]):
         vehicle = Vehicle(category, models.keypoints[i], models.vertices[i], models.faces)
-        views.extend(_view(vehicle, rng, noise) for _ in range(per_car))
+        views += simulate_many([vehicle], per_car, rng, noise)
     return views
 
 
@@ -125,21 +119,12 @@ def score_shape(
     return {stage: _summary(errors) for stage, errors in parts.items()}
 
 
-def _view(vehicle: Vehicle, rng: np.random.Generator, noise: NoiseModel) -> SimulatedView:
-    for _ in range(_TRIES):
-        try:
-            return SimulatedView(*simulate(vehicle, KITTI_CAMERA, kitti_like_pose(rng), rng, noise))
-        except InvalidInputError:  # outside the image
-            continue
-    raise InvalidInputError("names", "no view within the image", "Use vehicles of the size of cars.")
-
-
 def _states(
     view: SimulatedView, model: VehicleModel, ground: Ground | None, options: Options
 ) -> dict[str, tuple[Array, Array]]:
     """Pose (4, 4) and keypoints (K, 3) of every stage."""
-    prior, observation = model.prior, view.observation
-    mean, true_pose = prior.mean, view.truth.camera_T_object
+    prior, (observation, truth) = model.prior, view
+    mean, true_pose = prior.mean, truth.camera_T_object
     problem = Problem.of(observation, KITTI_CAMERA, model, ground, options)
 
     def solved(setting: Problem, start: PoseEstimate) -> tuple[Array, Array]:
@@ -172,13 +157,13 @@ def _known_pose(problem: Problem, camera_T_object: Array) -> PoseEstimate:
 
 def _errors(view: SimulatedView, camera_T_object: Array, keypoints: Array) -> tuple[Array, Array, Array, float]:
     """Distances (K,), centred distances (K,), reprojection errors of the inliers, orientation error in degrees."""
-    truth = view.truth
+    observation, truth = view
     difference = keypoints - truth.vehicle.keypoints
-    inlier = truth.visible & ~truth.outlier & view.observation.measured
+    inlier = truth.visible & ~truth.outlier & observation.measured
     points = transform(camera_T_object, keypoints)
     with np.errstate(divide="ignore", invalid="ignore"):  # a failed pose is at the camera
         pixels = KITTI_CAMERA.project(points)[inlier]
-    reprojection = np.linalg.norm(pixels - view.observation.keypoints[inlier], axis=1)
+    reprojection = np.linalg.norm(pixels - observation.keypoints[inlier], axis=1)
     cosine = float(camera_T_object[:3, 0] @ truth.camera_T_object[:3, 0])
     return (
         np.linalg.norm(difference, axis=1),
@@ -283,8 +268,7 @@ def score_strategy(
 ) -> StrategyScore:
     """Pose and shape with one robust strategy."""
     turns, keypoints, translations = [], [], []
-    for view in views:
-        observation, truth = view.observation, view.truth
+    for observation, truth in views:
         try:
             result = reconstruct(
                 observation, KITTI_CAMERA, prior=prior, ground=ground, size_prior=size, options=options

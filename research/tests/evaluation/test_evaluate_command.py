@@ -63,7 +63,7 @@ def test_json_on_the_output_stands_alone(track):
 def test_the_table_fits_a_narrow_terminal(track):
     scores = score_tracks([read_track(track, load_prior("car14").category)], select(FAST[1::2]), SCENE)
     console = Console(width=80, file=io.StringIO())
-    console.print(report.table(scores, narrow=True))
+    console.print(report.table(scores, narrow=True).shown(tight=True))
     text = console.file.getvalue()
     assert max(map(len, text.splitlines())) <= 80
     assert "sqpnp_confident+size" in text

@@ -72,8 +72,8 @@ class TestHeldOut:
     def test_views_are_of_the_cars_held_out_and_no_car_counts_twice(self, models):
         views = simulate_views(models, DUPLICATE, 2)
         assert len(views) == 2
-        for view in views:
-            assert (view.truth.vehicle.keypoints == models.keypoints[models.index(DUPLICATE[:1])[0]]).all()
+        for _, truth in views:
+            assert (truth.vehicle.keypoints == models.keypoints[models.index(DUPLICATE[:1])[0]]).all()
 
 
 class TestScores:
@@ -100,9 +100,7 @@ class TestScores:
     def test_without_noise_the_shape_is_found_at_the_true_pose(self, prior, models, names):
         """What is left is what five vectors cannot express."""
         views = simulate_views(models, names[:4], 2)
-        exact = [
-            replace(view, observation=replace(view.observation, keypoints=view.truth.projections)) for view in views
-        ]
+        exact = [(replace(observation, keypoints=truth.projections), truth) for observation, truth in views]
         noisy, clean = (score_shape(part, prior, LOOSE)["shape, true pose"].keypoint for part in (views, exact))
         assert clean < noisy
 

@@ -74,12 +74,14 @@ def tracks_command(
     total = len(methods) * sum(len(track.frames) for track in tracks)
     with screen.bar() as advance:
         scores = score_tracks(tracks, methods, scene, counting(advance, "Frames", total))
-    table = report.table(scores, narrow=screen.console.width < _WIDE)
-    screen.print(table, f"+ground: {origin}. +size: {_in_words(scene.size)}.")
+    narrow = screen.console.width < _WIDE
+    screen.print(
+        report.table(scores, narrow=narrow).shown(tight=narrow), f"+ground: {origin}. +size: {_in_words(scene.size)}."
+    )
     _print_failures(scores, screen)
     named = list(zip(map(str, files), tracks, strict=True))
     screen.write_document(report.document(scores, named, scene, {"ground": origin}))
-    screen.write_text(markdown, report.markdown(scores))
+    screen.write_text(markdown, report.table(scores).markdown())
     screen.write_text(per_frame, report.to_json(report.frames_document(scores)))
     if recording is not None:
         made = recordings(tracks, recording, scene)

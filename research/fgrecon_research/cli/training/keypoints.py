@@ -23,6 +23,7 @@ from fgrecon.perception.from_image import reconstruct_detection
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
 from fgrecon_research.cli.training.label import label_street
+from fgrecon_research.evaluation.measures import THRESHOLDS
 from fgrecon_research.paper.network import adjust_marked
 from fgrecon_research.training.keypoints.evaluate import (
     GROUPS,
@@ -85,7 +86,6 @@ def silhouettes_command(
     terminal: Terminal,
     data: DataOption = DATA,
     each: Annotated[int, typer.Option(min=1, help="Photographs of each shape, at most.")] = 300,
-    side: Annotated[int, typer.Option(help="Side of the network's input, pixels.")] = 320,
 ) -> None:
     """Draw the silhouettes of the photographs' cars, for `train`.
 
@@ -93,7 +93,7 @@ def silhouettes_command(
     """
     screen = terminal.screen()
     cars = in_order(read_posed_cars(data / "posed_cars"), each)
-    drawn = draw_silhouettes(cars, package, out, side=side, progress=screen.watch)
+    drawn = draw_silhouettes(cars, package, out, progress=screen.watch)
     screen.detail(*(f"Wrote {file}." for file in drawn))
     screen.print(f"{len(drawn)} drawn, {len(cars) - len(drawn)} were there.")
     screen.wrote(out)
@@ -266,19 +266,19 @@ def direction_errors(screen: Screen, detector: KeypointCascade, data: Path, coun
     cars = [car for car in read_posed_cars(data / "posed_cars") if car.cad_id in apart]
     chosen = np.sort(np.random.default_rng(seed).choice(len(cars), min(count, len(cars)), replace=False))
     prior, options = load_prior("car14"), Options(keep_history=False)
-    score = azimuth_errors(
+    errors = azimuth_errors(
         detector,
         [cars[i] for i in chosen],
         lambda detection, camera: reconstruct_detection(detection, camera, options=options, prior=prior),
         screen.watch,
     )
-    numbers = {"photographs": len(chosen), "median_degrees": score.median}
-    numbers |= {f"within_{degrees}": score.within(degrees) for degrees in (5, 15, 30)}
+    median, within = float(np.median(errors)), {most: float((errors <= most).mean()) for most in THRESHOLDS}
+    shares = "/".join(f"{100 * share:.1f}" for share in within.values())
     screen.print(
-        f"End to end on {len(chosen)} validation photographs: median {score.median:.1f}°, "
-        f"within 5/15/30°: {100 * score.within(5):.1f}/{100 * score.within(15):.1f}/{100 * score.within(30):.1f} %"
+        f"End to end on {len(chosen)} validation photographs: median {median:.1f}°, within 5/15/30°: {shares} %"
     )
-    return numbers
+    shared = {f"within_{most}": share for most, share in within.items()}
+    return {"photographs": len(chosen), "median_degrees": median, **shared}
 
 
 class TrainingDisplay:

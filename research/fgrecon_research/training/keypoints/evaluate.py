@@ -16,7 +16,7 @@ from fgrecon.core.detection import Detection
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.input_warnings import summed_up
-from fgrecon.core.metrics import average_precision
+from fgrecon.core.metrics import FAILURE_DEGREES, average_precision, orientation_error
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import REACH, KeypointCascade
 from fgrecon_research.training.keypoints.marks import Mark
@@ -124,31 +124,19 @@ def adjusted(scored: Sequence[Scored], projections: Sequence[Array | None]) -> l
     return after
 
 
-@dataclass(frozen=True)
-class PosedScore:
-    """Directions of photographs of known pose."""
-
-    errors: Array  # (M,) degrees on the full circle; 180 where the car was refused
-
-    @property
-    def median(self) -> float:
-        """Median error, degrees."""
-        return float(np.median(self.errors))
-
-    def within(self, degrees: float) -> float:
-        """Share of photographs with an error of at most so many degrees."""
-        return float((self.errors <= degrees).mean())
-
-
 @summed_up()  # what an evaluation solves is measured, not warned of
 def azimuth_errors(
     detector: KeypointCascade,
     cars: Sequence[PosedCar],
     solve: Callable[[Detection, Camera], Any],
     progress: Progress = no_progress,
-) -> PosedScore:
-    """Reconstruct photographs, intrinsics given, and compare the direction from the car to the camera."""
-    errors = np.full(len(cars), 180.0)
+) -> Array:
+    """Reconstruct photographs, intrinsics given, and compare the direction from the car to the camera.
+
+    Returns:
+        (M,) errors, degrees on the full circle; 180 where a car is refused.
+    """
+    errors = np.full(len(cars), FAILURE_DEGREES)
     for row, car in progress(list(enumerate(cars)), "Photographs"):
         image = read_image(car.image)
         camera = replace(Camera(car.matrix), image_size=None)  # the photograph's edges are the car's
@@ -157,6 +145,5 @@ def azimuth_errors(
             pose = solve(detection, camera).camera_T_object
         except FgreconError:
             continue
-        turn = np.degrees(float(view_azimuth(pose[:3, :3], pose[:3, 3])) - car.azimuth)
-        errors[row] = abs((turn + 180.0) % 360.0 - 180.0)
-    return PosedScore(errors)
+        errors[row] = orientation_error([float(view_azimuth(pose[:3, :3], pose[:3, 3]))], [car.azimuth])[0]
+    return errors

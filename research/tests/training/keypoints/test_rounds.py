@@ -289,10 +289,7 @@ def test_directions_are_compared_on_the_full_circle(source, detector):
             raise InvalidInputError("keypoints", "none", "Give some.")
         return answer
 
-    score = azimuth_errors(detector, cars, solve)
-    np.testing.assert_allclose(score.errors, [0, 170, 180], atol=1e-6)
-    assert score.within(15) == pytest.approx(1 / 3)
-    assert score.median == pytest.approx(170.0)
+    np.testing.assert_allclose(azimuth_errors(detector, cars, solve), [0, 170, 180], atol=1e-6)
 
 
 def flipped(path, at):
