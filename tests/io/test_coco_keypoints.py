@@ -16,7 +16,7 @@ from fgrecon.io.coco_keypoints import (
     read_coco_keypoints,
     write_coco_keypoints,
 )
-from fgrecon_research.io.annotations.coco import read_coco
+from fgrecon_research.io.annotations.named import read_coco
 
 CATEGORY = load_category("car14")
 

@@ -24,6 +24,9 @@ from fgrecon.io.lens_fields import read_size
 
 Record = dict[str, Any]
 _Id = int | str
+NOTHING_LABELLED = "Mark keypoints of the vehicles that you want."
+"""What the error about annotations without a labelled keypoint says to do."""
+
 _FLAGS = {0.0: None, 1.0: Observation.confidence_midpoint, 2.0: 1.0}
 _PARTS_OF_SCHEMES = 24, 66  # points of OpenPifPaf's cars
 _PROBABLE = 0.5
@@ -72,7 +75,7 @@ def annotation_records(data: Mapping[str, Any], where: str) -> Iterator[tuple[Re
             yield {"id": number} | record, place
     if unlabelled:
         place, found = f"{where}annotations[{unlabelled[0]}].", f"{len(unlabelled)} without a labelled one"
-        yield InvalidInputError(f"{place}keypoints", found, "Mark keypoints of the vehicles that you want."), place
+        yield InvalidInputError(f"{place}keypoints", found, NOTHING_LABELLED), place
 
 
 def _annotation(fields: Fields, kinds: Mapping[_Id, _Kind], images: Mapping[_Id, Fields]) -> Record | None:

@@ -34,7 +34,7 @@ from fgrecon_research.evaluation.boxes_summary import (
 )
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, counted_cars
 from fgrecon_research.evaluation.measures import THRESHOLDS, instances_within
-from fgrecon_research.io.kitti_sets import Defect, Fault, read_detections, read_labels
+from fgrecon_research.io.kitti_sets import Fault, read_detections, read_labels
 
 
 @dataclass(frozen=True)
@@ -68,12 +68,11 @@ class Car:
 
 
 def read_frames(
-    images: Path, labels: Path, calib: Path, names: Sequence[str] | None = None, detections: Path | None = None
+    images: Path, labels: Path, calib: Path, detections: Path | None = None
 ) -> tuple[list[ImageFrame], list[Fault]]:
     """The frames that have an image.
 
     Args:
-        names: Frames to take; None takes all images.
         detections: File of 2D detections, or None for the labelled boxes.
 
     Returns:
@@ -85,29 +84,25 @@ def read_frames(
     if not images.is_dir():
         raise InvalidInputError("images", str(images), "Give a folder of images named by frame.")
     files = {path.stem: path for path in sorted(images.iterdir()) if path.suffix.lower() in (".png", ".jpg", ".jpeg")}
-    chosen = sorted(files) if names is None else [name for name in names if name in files]
-    if not chosen:
-        raise InvalidInputError("images", str(images), "Give a folder with images of these frames.")
-    objects, problems = read_labels(labels, chosen)
-    if names is not None and (without := [name for name in names if name not in files]):
-        more = f", as for {len(without) - 1} more" if len(without) > 1 else ""
-        problems.append(Fault(Defect.MISSING_FRAME, without[0], f"no image{more}"))
-    missing = [name for name in chosen if name not in objects]
+    if not files:
+        raise InvalidInputError("images", str(images), "Give a folder with images.")
+    objects, problems = read_labels(labels, list(files))
+    missing = [name for name in files if name not in objects]
     if missing:
         raise InvalidInputError("labels", f"no label of {missing[0]}", "Give the folder with a label file per frame.")
     found: dict[str, Objects] | None = None
     if detections is not None:
-        found, others = read_detections(detections, chosen)
-        problems += [problem for problem in others if problem.place in chosen]
+        found, others = read_detections(detections, list(files))
+        problems += [problem for problem in others if problem.place in files]
     frames = [
         ImageFrame(
             name,
-            files[name],
+            path,
             objects[name],
             None if found is None else found[name],
             read_calibration(calib / f"{name}.txt"),
         )
-        for name in chosen
+        for name, path in sorted(files.items())
     ]
     return frames, problems
 

@@ -60,6 +60,13 @@ def test_coco_reorders_by_name_renames_and_passes_over_other_categories(tmp_path
     assert np.isnan(without.keypoints[:, NAMES.index("backrest_centre")]).all()
 
 
+def test_coco_annotations_without_a_labelled_keypoint_are_left_out(tmp_path, keypoints):
+    content = coco(keypoints)
+    content["annotations"][1]["keypoints"] = [0] * 3 * len(NAMES)
+    read = load_annotations([write(tmp_path / "a.json", content)], chair())
+    np.testing.assert_array_equal(read.keypoints, np.delete(keypoints, 1, axis=0))
+
+
 def test_coco_hidden_but_labelled_keypoints_count(tmp_path, keypoints):
     content = coco(keypoints)
     content["annotations"][0]["keypoints"][:3] = [5.0, 6.0, 1]
@@ -70,12 +77,12 @@ def test_coco_hidden_but_labelled_keypoints_count(tmp_path, keypoints):
 @pytest.mark.parametrize(
     ("place", "value", "message"),
     [
-        (2, 3, r"annotation 101: left_front_foot: got 'flag 3'|annotation 101: left_front_foot: got flag 3"),
-        (3, "x", "annotation 101: right_front_foot"),
-        (4, float("inf"), "annotation 101: right_front_foot"),
+        (2, 3, r"annotations\[1\].keypoints: got 3\.0"),
+        (3, "x", r"annotations\[1\].keypoints\[3\]: got x"),
+        (4, float("inf"), r"annotations\[1\].keypoints\[4\]: got inf"),
     ],
 )
-def test_coco_refusals_name_file_instance_and_keypoint(tmp_path, place, value, message):
+def test_coco_refusals_name_file_annotation_and_value(tmp_path, place, value, message):
     content = coco(draw_world(0, count=3, missing=0.0).keypoints)
     content["annotations"][1]["keypoints"][place] = value
     with pytest.raises(InvalidInputError, match=message) as caught:
@@ -86,12 +93,12 @@ def test_coco_refusals_name_file_instance_and_keypoint(tmp_path, place, value, m
 def test_coco_of_wrong_length_or_without_names(tmp_path, keypoints):
     short = coco(keypoints)
     short["annotations"][0]["keypoints"] = [1, 2, 2]
-    with pytest.raises(InvalidInputError, match="annotation 100: keypoints: got 3 numbers"):
+    with pytest.raises(InvalidInputError, match=r"annotations\[0\].keypoints: got 3 numbers"):
         load_annotations([write(tmp_path / "a.json", short)], chair())
     with pytest.raises(InvalidInputError, match="no keypoint names"):
         load_annotations([write(tmp_path / "b.json", coco(keypoints, categories=[{"id": 1}]))], chair())
-    strange = coco(keypoints, categories=[{"id": 7, "keypoints": ["nose"]}])
-    with pytest.raises(InvalidInputError, match=r"categories\[0\].keypoints: got nose"):
+    strange = coco(keypoints[:, :1], categories=[{"id": 7, "keypoints": ["nose"]}])
+    with pytest.raises(InvalidInputError, match="categories: got nose"):
         load_annotations([write(tmp_path / "c.json", strange)], chair())
     (tmp_path / "d.json").write_text("[")
     with pytest.raises(InvalidInputError, match=r"d\.json"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -60,17 +59,13 @@ def build_command(
         str, typer.Option(help="Keypoints: car14, located on every model; apollo66, apollo24, pascal12: by marks.")
     ] = "car14",
     data: DataOption = DATA,
-    basis: Annotated[int, typer.Option(min=1, help="Number of basis vectors.")] = 5,
-    exclude: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Name of a model to leave out; give it again for more.")
-    ] = None,
     leave_one_out: Annotated[
         bool, typer.Option("--leave-one-out", help="Hold out each model in turn and print how well it is expressed.")
     ] = False,
 ) -> None:
     """Make a shipped prior of keypoints and a surface from the 79 car models of ApolloCar3D.
 
-    Without further options it makes the shipped file again, bit for bit. --verbose shows all that is known about it.
+    It makes the shipped file again, bit for bit. --verbose shows all that is known about it.
     """
     screen = terminal.screen()
     out = Path(f"{category}.npz") if out is None else out
@@ -78,10 +73,8 @@ def build_command(
     if leave_one_out and category != _LOCATED:
         raise InvalidInputError("leave-one-out", category, f"It is measured for {_LOCATED} alone; leave it out.")
     models = apollo79.load_apollo79(data)
-    if category == _LOCATED:
-        prior = apollo79.rounded(apollo79.apollo79_prior(models, basis, exclude or ()))
-    else:
-        prior = apollo79.rounded(_of_marks(data, models, category, basis, exclude or ()))
+    exact = apollo79.apollo79_prior(models) if category == _LOCATED else _of_marks(data, models, category)
+    prior = apollo79.rounded(exact)
     screen.print(f"{prior.name}: {prior.provenance['source']}")
     screen.detail(*(f"{field}: {value}" for field, value in prior.provenance.items() if field != "source"))
     share = ", ".join(f"{100 * part:.1f}" for part in prior.explained)
@@ -93,13 +86,13 @@ def build_command(
     screen.wrote(save_prior(prior, out))
 
 
-def _of_marks(data: Path, models: Apollo79, category: str, basis: int, exclude: Sequence[str]) -> ShapePrior:
+def _of_marks(data: Path, models: Apollo79, category: str) -> ShapePrior:
     """The prior of keypoints that people marked in the images of ApolloCar3D."""
     kind = load_category(category)
     found = read_apollocar3d(data / "apollocar3d_val" / "annotations.json", models)
     cars = [PosedMarks(models.names.index(car.model), car.all_marks, car.camera_T_object) for car in found.cars]
     located = located_points(cars, found.camera, models, load_category(SCHEME))
-    return marked_prior(located, models, kind, basis, exclude)
+    return marked_prior(located, models, kind)
 
 
 def _leave_one_out_table(results: list[LeaveOneOut]) -> Table:

@@ -108,16 +108,3 @@ def spread(annotations: Annotations, count: int, rng: np.random.Generator, *, mi
                 taken[vehicle[queue[place]]] += 1
                 chosen.append(int(queue.pop(place)))
     return np.sort(np.array(chosen, dtype=np.intp))
-
-
-def in_category_order(where: str, names: Sequence[str], category: Category) -> NDArray[np.intp]:
-    """(K,) column of each of the category's keypoints among a file's names, -1 where the file has none.
-
-    Raises:
-        InvalidInputError: The file names no keypoint of the category; `where` is the field to blame.
-    """
-    columns = np.array([list(names).index(name) if name in names else -1 for name in category.keypoints])
-    if (columns < 0).all():
-        fix = f"Use the keypoint names of {category.name}, or rename: {', '.join(category.keypoints)}."
-        raise InvalidInputError(where, ", ".join(names), fix)
-    return columns

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.arrays import read_arrays
-from fgrecon_research.io.annotations.annotations import Annotations, in_category_order
+from fgrecon_research.io.annotations.annotations import Annotations
 
 _KEYPOINTS = ("keypoints_uv", "keypoints")
 _VEHICLES = ("vehicle_id", "vehicles")
@@ -76,7 +76,11 @@ def _columns(
         names = [str(name) for name in np.ravel(arrays["keypoint_names"])]
         if len(names) != size:
             raise InvalidInputError(f"{path}: keypoint_names", f"{len(names)} names", f"Give {size}.")
-        return in_category_order(f"{path}: keypoint_names", [rename.get(n, n) for n in names], category)
+        ours = [rename.get(name, name) for name in names]
+        if not set(ours) & set(category.keypoints):
+            fix = f"Use the keypoint names of {category.name}, or rename: {', '.join(category.keypoints)}."
+            raise InvalidInputError(f"{path}: keypoint_names", ", ".join(names), fix)
+        return np.array([ours.index(name) if name in ours else -1 for name in category.keypoints])
     if size != category.size:
         fix = f"Give the {category.size} keypoints of {category.name} in its order, or an array keypoint_names."
         raise InvalidInputError(f"{path}: keypoints", f"{size} keypoints without names", fix)

@@ -10,9 +10,8 @@ import numpy as np
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon_research.io.annotations.annotations import Annotations
-from fgrecon_research.io.annotations.coco import read_coco
+from fgrecon_research.io.annotations.named import read_coco, read_pascal3d
 from fgrecon_research.io.annotations.npz import read_npz
-from fgrecon_research.io.annotations.pascal3d import read_pascal3d
 from fgrecon_research.io.annotations.veri36 import read_veri36
 
 FORMATS = {".json": "COCO keypoints", ".mat": "PASCAL3D+", ".npz": "numpy", ".csv": "VeRi, 36 keypoints"}

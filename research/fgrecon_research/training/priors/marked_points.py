@@ -84,29 +84,25 @@ def located_points(cars: Sequence[PosedMarks], camera: Camera, models: Apollo79,
     return LocatedPoints(points * models.scale[:, None, None], marks, residual)
 
 
-def marked_prior(
-    located: LocatedPoints, models: Apollo79, category: Category, basis: int = 5, exclude: Sequence[str] = ()
-) -> ShapePrior:
+def marked_prior(located: LocatedPoints, models: Apollo79, category: Category) -> ShapePrior:
     """The prior of a category whose keypoints are among the 66 of ApolloCar3D, or centres of some of them.
 
     Args:
         located: Where the 66 points are.
         category: `apollo66` itself, or one to which its names lead.
-        exclude: Names of models not to learn from.
 
     Raises:
-        InvalidInputError: The category is none of these, or too few models are left.
+        InvalidInputError: The category is none of these.
     """
     names = load_category(SCHEME).keypoints
     groups = parse_names(SCHEME, category).groups
     columns = [[names.index(name) for name in groups.get(keypoint, (keypoint,))] for keypoint in category.keypoints]
-    keep = kept_models(models, exclude)
+    keep = kept_models(models, ())
     shapes = np.stack([located.points[keep][:, column].mean(axis=1) for column in columns], axis=1)
     marked = int((located.marks[keep].sum(axis=1) > 0).sum())
     return pca_prior(
         category,
         shapes,
-        basis=basis,
         surface=surface_samples(models, keep),
         name=category.name,
         provenance={

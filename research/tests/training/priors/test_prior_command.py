@@ -24,17 +24,6 @@ def test_build_makes_the_shipped_prior(data, tmp_path):
 
 
 @pytest.mark.data
-def test_build_options(data, tmp_path):
-    out = tmp_path / "car14.npz"
-    named = ["--exclude", "aodi-a6", "--exclude", "lingmu-swift"]
-    result = run("build", "--out", out, "--data", data, "--basis", 3, *named)
-    assert result.exit_code == 0, result.output
-    prior = load_prior(out)
-    assert prior.dimension == 3
-    assert prior.provenance["source"].startswith("76 of")
-
-
-@pytest.mark.data
 @pytest.mark.slow
 def test_build_with_leave_one_out(data, tmp_path):
     result = run("build", "--out", tmp_path / "car14.npz", "--data", data, "--leave-one-out")
@@ -47,4 +36,3 @@ def test_errors(tmp_path):
     result = run("build", "--out", tmp_path / "car14.npz", "--data", tmp_path)
     assert isinstance(result.exception, InvalidInputError)
     assert "apollo79_car14" in str(result.exception)
-    assert run("build", "--basis", 0).exit_code == 2
