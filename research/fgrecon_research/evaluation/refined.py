@@ -41,7 +41,7 @@ class BoxError:
 
     metres: float  # distance of the origins
     degrees: float  # yaw error on the full circle
-    size: tuple[float, float, float]  # (3,) of length, width and height, metres, without sign
+    size: tuple[float, ...]  # (3,) of length, width and height, metres, without sign
 
 
 @dataclass(frozen=True)
@@ -72,13 +72,13 @@ class Comparison:
 
     vehicles: int  # how many there are
     refined: int  # how many boxes were changed
-    mean_metres: tuple[float, float]  # mean position error before and after, and so on
-    median_metres: tuple[float, float]  # the median
-    mean_degrees: tuple[float, float]  # of the yaw, on the full circle
-    median_degrees: tuple[float, float]  # the median
-    flipped: tuple[int, int]  # heading flips: vehicles off by more than 90 degrees
+    mean_metres: tuple[float, ...]  # mean position error before and after, and so on
+    median_metres: tuple[float, ...]  # the median
+    mean_degrees: tuple[float, ...]  # of the yaw, on the full circle
+    median_degrees: tuple[float, ...]  # the median
+    flipped: tuple[int, ...]  # heading flips: vehicles off by more than 90 degrees
     # mean errors of length, width and height without sign, metres
-    size: tuple[tuple[float, float, float], tuple[float, float, float]]
+    size: tuple[tuple[float, ...], ...]
     worse: int  # vehicles that lie farther off by more than 5 % of their distance
     worst_metres: float  # the largest rise of the position error, metres
     worst_percent: float  # the largest rise in percent of the distance
@@ -190,9 +190,8 @@ def _refine_frame(
 
 def _error(box: Box3D, place: Array, yaw: float, size: Array) -> BoxError:
     assert box.size is not None
-    length, width, height = np.abs(box.size - size).tolist()
     degrees = float(orientation_error([box.rotation_y], [yaw])[0])
-    return BoxError(float(np.linalg.norm(box.location - place)), degrees, (length, width, height))
+    return BoxError(float(np.linalg.norm(box.location - place)), degrees, tuple(np.abs(box.size - size).tolist()))
 
 
 def _within(one: RefinedBox, place: Array) -> float:
@@ -204,33 +203,24 @@ def _within(one: RefinedBox, place: Array) -> float:
 
 def _comparison(vehicles: Sequence[RefinedVehicle]) -> Comparison:
     both = [[one.before for one in vehicles], [one.after for one in vehicles]]
-    metres = np.array([[error.metres for error in errors] for errors in both])
-    degrees = np.array([[error.degrees for error in errors] for errors in both])
-    sizes = np.array([[error.size for error in errors] for errors in both]).mean(axis=1)
+    metres, degrees, sizes = (
+        np.array([[getattr(error, name) for error in errors] for errors in both])
+        for name in ("metres", "degrees", "size")
+    )
     worse = np.array([one.worse for one in vehicles])
     within = np.array([one.within for one in vehicles if one.changed])
     return Comparison(
         vehicles=len(vehicles),
         refined=sum(one.changed for one in vehicles),
-        mean_metres=_pair(metres.mean(axis=1)),
-        median_metres=_pair(np.median(metres, axis=1)),
-        mean_degrees=_pair(degrees.mean(axis=1)),
-        median_degrees=_pair(np.median(degrees, axis=1)),
-        flipped=(int((degrees[0] > FLIPPED_DEGREES).sum()), int((degrees[1] > FLIPPED_DEGREES).sum())),
-        size=(_three(sizes[0]), _three(sizes[1])),
+        mean_metres=tuple(metres.mean(axis=1).tolist()),
+        median_metres=tuple(np.median(metres, axis=1).tolist()),
+        mean_degrees=tuple(degrees.mean(axis=1).tolist()),
+        median_degrees=tuple(np.median(degrees, axis=1).tolist()),
+        flipped=tuple((degrees > FLIPPED_DEGREES).sum(axis=1).tolist()),
+        size=tuple(map(tuple, sizes.mean(axis=1).tolist())),
         worse=int((worse > _WORSE).sum()),
         worst_metres=float((metres[1] - metres[0]).max()),
         worst_percent=float(worse.max()),
         doubled=int((metres[1] > 2.0 * metres[0]).sum()),
         spread=float(np.sqrt(np.square(within).mean())) if len(within) else float("nan"),
     )
-
-
-def _pair(values: Array) -> tuple[float, float]:
-    before, after = values.tolist()
-    return before, after
-
-
-def _three(values: Array) -> tuple[float, float, float]:
-    length, width, height = values.tolist()
-    return length, width, height

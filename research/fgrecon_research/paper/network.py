@@ -27,7 +27,7 @@ from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.evaluation.bootstrap import mean_interval
 from fgrecon_research.io.kitti_sets import read_labels
 from fgrecon_research.paper.stages import StageEstimate, initial_state, noisy_azimuth, stages_of
-from fgrecon_research.paper.tables import APK_ALPHA, LABELS, PRINTED_APK, PRINTED_HAUSDORFF, Cell, Table
+from fgrecon_research.paper.tables import APK_ALPHA, LABELS, PAPER, PRINTED_APK, PRINTED_HAUSDORFF, Cell, Row, Table
 from fgrecon_research.training.keypoints.evaluate import GROUPS, Scored, adjusted, score_marks
 from fgrecon_research.training.keypoints.marks import read_street_marks
 from fgrecon_research.training.keypoints.posed_cars import Progress, no_progress, read_posed_cars
@@ -168,10 +168,9 @@ def score_network(data: Path, seed: int = 0, detector: KeypointCascade | None = 
 
 def network_table(scores: NetworkScores) -> Table:
     """Table II on real images: APK over visible points, movement of the wireframe, and orientation, by stage."""
-    lines: list[tuple[str, tuple[Cell, ...]]] = [
-        (f"paper: {name}", (*PRINTED_APK[name], *PRINTED_HAUSDORFF[name], *4 * [None])) for name in PRINTED_APK
+    lines: list[Row] = [
+        (f"{PAPER}{name}", (*PRINTED_APK[name], *PRINTED_HAUSDORFF[name], *4 * [None])) for name in PRINTED_APK
     ]
-    printed = frozenset(label for label, _ in lines)
     images = np.unique(scores.cars, return_inverse=True)[1]
     used = [scores.used(regime) for regime in _REGIMES]
     for row, away in scores.away.items():
@@ -205,9 +204,8 @@ def network_table(scores: NetworkScores) -> Table:
         "fgrecon given KITTI's ground, fleet and kind of box. Visible points alone count, since where hidden ones are "
         "is a guess. The marks are never learnt from."
     )
-    return Table(
-        "table_2_real", "Table II on real images: own network's keypoints", note, columns, tuple(lines), printed, 2
-    )
+    title = "Table II on real images: own network's keypoints"
+    return Table("table_2_real", title, note, columns, tuple(lines), decimals=2)
 
 
 def parts_note(scores: NetworkScores) -> str:

@@ -18,6 +18,11 @@ from fgrecon_research.paper.known_shape import KNOWN_SHAPE_ROWS, KnownShapeScore
 from fgrecon_research.paper.simulated_scores import CHAIN_ROWS, STAGE_ROWS, Scores
 
 Cell = Interval | float | None
+Row = tuple[str, tuple[Cell, ...]]
+"""Label and cells."""
+
+PAPER = "paper: "
+"""Labels of rows that are the paper's own figures begin so."""
 
 APK_ALPHA = 0.1
 """Tolerance of the paper's APK, of the box's longer side. Of cars whose boxes are given the tables count the share of
@@ -92,8 +97,7 @@ class Table:
     title: str  # heading
     note: str  # what to know when reading it
     columns: tuple[str, ...]  # headings of the columns after the first
-    rows: tuple[tuple[str, tuple[Cell, ...]], ...]  # label and cells of each row
-    printed: frozenset[str] = frozenset()  # labels of rows that are the paper's own figures
+    rows: tuple[Row, ...]
     decimals: int = 1  # digits after the point
 
     def text(self, cell: Cell) -> str:
@@ -129,13 +133,15 @@ def _groups(scores: Scores) -> NDArray[np.intp]:
     return np.unique(scores.frame, return_inverse=True)[1]
 
 
+def _detected(scores: Scores) -> list[NDArray[np.bool_]]:
+    """(I,) which detected cars each regime counts."""
+    return [scores.regimes[:, regime] & (scores.detection >= 0) for regime in range(len(REGIMES))]
+
+
 def aop_table(key: str, title: str, scores: Scores, rows: Sequence[str], note: str, *, printed: bool = True) -> Table:
     """Table I: AOP at every threshold and regime, in percent, over all labelled cars of the regime."""
     groups = _groups(scores)
-    lines: list[tuple[str, tuple[Cell, ...]]] = []
-    if printed:
-        lines += [(f"paper: {name}", cells) for name, cells in PRINTED_AOP.items()]
-    names = frozenset(label for label, _ in lines)
+    lines: list[Row] = [(f"{PAPER}{name}", cells) for name, cells in PRINTED_AOP.items()] if printed else []
     for r, row in enumerate(rows):
         cells: list[Cell] = []
         for regime in range(len(REGIMES)):
@@ -145,12 +151,12 @@ def aop_table(key: str, title: str, scores: Scores, rows: Sequence[str], note: s
                 cells.append(mean_interval(right, groups[used]) if used.any() else None)
         lines.append((row_label(row), tuple(cells)))
     columns = tuple(f"{regime.name} ≤{threshold}°" for regime in REGIMES for threshold in THRESHOLDS)
-    return Table(key, title, note, columns, tuple(lines), names)
+    return Table(key, title, note, columns, tuple(lines))
 
 
 def simulated_parts(scores: Scores, rows: Sequence[str]) -> Mapping[str, Array]:
     """APK of each keypoint over the detected Hard cars, percent (K,), as measured and by stage."""
-    used = scores.regimes[:, -1] & (scores.detection >= 0)
+    used = _detected(scores)[-1]
     away = {"as measured": scores.measured} | {row: scores.reprojection[:, rows.index(row)] for row in STAGE_ROWS}
     return {row_label(row): 100.0 * (values[used] <= APK_ALPHA).mean(axis=0) for row, values in away.items()}
 
@@ -166,19 +172,17 @@ def per_part_table(key: str, title: str, note: str, shares: Mapping[str, Array],
 
 def mae_table(key: str, title: str, scores: Scores, rows: Sequence[str], note: str, *, printed: bool = True) -> Table:
     """Table III: mean and median orientation error and median translation error over the detected cars."""
-    groups, detected = _groups(scores), scores.detection >= 0
-    lines: list[tuple[str, tuple[Cell, ...]]] = []
+    groups, used = _groups(scores), _detected(scores)
+    lines: list[Row] = []
     if printed:
-        lines += [(f"paper: {name}", (*cells, *6 * [None])) for name, cells in PRINTED_MAE.items()]
-    names = frozenset(label for label, _ in lines)
-    used = [scores.regimes[:, regime] & detected for regime in range(len(REGIMES))]
+        lines += [(f"{PAPER}{name}", (*cells, *6 * [None])) for name, cells in PRINTED_MAE.items()]
     for r, row in enumerate(rows):
         means = [mean_interval(scores.orientation[u, r], groups[u]) if u.any() else None for u in used]
         medians = [_median(scores.orientation[u, r]) for u in used]
         away = [_median(scores.translation[u, r]) for u in used]
         lines.append((row_label(row), (*means, *medians, *away)))
     columns = tuple(f"{regime.name} {what}" for what in ("mean °", "median °", "median m") for regime in REGIMES)
-    return Table(key, title, note, columns, tuple(lines), names, decimals=2)
+    return Table(key, title, note, columns, tuple(lines), decimals=2)
 
 
 def _median(values: Array) -> float | None:
@@ -187,8 +191,7 @@ def _median(values: Array) -> float | None:
 
 def stage_table(scores: Scores, rows: Sequence[str]) -> Table:
     """Table II: APK and Hausdorff distances by stage, over the detected cars."""
-    groups, detected = _groups(scores), scores.detection >= 0
-    used = [scores.regimes[:, regime] & detected for regime in range(len(REGIMES))]
+    groups, used = _groups(scores), _detected(scores)
 
     def over(values: Array, keep: NDArray[np.bool_] | None = None) -> list[Cell]:
         chosen = [u if keep is None else u & keep for u in used]
@@ -197,11 +200,10 @@ def stage_table(scores: Scores, rows: Sequence[str]) -> Table:
     def apk(distances: Array) -> list[Cell]:
         return over(100.0 * (distances <= APK_ALPHA).mean(axis=1))
 
-    lines: list[tuple[str, tuple[Cell, ...]]] = [
-        (f"paper: {name}", (*PRINTED_APK.get(name, (None,) * 3), *cells, *3 * [None]))
+    lines: list[Row] = [
+        (f"{PAPER}{name}", (*PRINTED_APK.get(name, (None,) * 3), *cells, *3 * [None]))
         for name, cells in PRINTED_HAUSDORFF.items()
     ]
-    names = frozenset(label for label, _ in lines)
     lines.append(("keypoints as measured", (*apk(scores.measured), *6 * [None])))
     for row in STAGE_ROWS:
         r = rows.index(row)
@@ -223,24 +225,23 @@ def stage_table(scores: Scores, rows: Sequence[str]) -> Table:
         "shape in the vehicle's own frame. Means over detected cars."
     )
     title = "Table II: each step's effect on the wireframe (simulated)"
-    return Table("table_2", title, note, columns, tuple(lines), names, decimals=2)
+    return Table("table_2", title, note, columns, tuple(lines), decimals=2)
 
 
 def decoupling_table(ours: Scores, our_rows: Sequence[str], chain: Scores, chain_rows: Sequence[str]) -> Table:
     """Whether pose and shape can be solved one after the other: the same stages with and without a joint solve."""
-    lines: list[tuple[str, tuple[Cell, ...]]] = []
+    lines: list[Row] = []
     for scores, rows, names in ((ours, our_rows, STAGE_ROWS[1:]), (chain, chain_rows, CHAIN_ROWS)):
-        used = (scores.detection >= 0) & scores.regimes[:, -1]
+        used = _detected(scores)[-1]
         groups = _groups(scores)[used]
         for row in names:
             r = rows.index(row)
-            shape = statistic_interval(100.0 * scores.shape[used, r], np.median)
             cells: tuple[Cell, ...] = (
                 mean_interval(scores.orientation[used, r], groups),
                 _median(scores.orientation[used, r]),
                 _median(scores.translation[used, r]),
                 mean_interval(100.0 * (scores.reprojection[used, r] <= APK_ALPHA).mean(axis=1), groups),
-                shape,
+                statistic_interval(100.0 * scores.shape[used, r], np.median),
             )
             lines.append((row_label(row), cells))
     columns = ("mean °", "median °", "median m", "APK %", "3D keypoint cm, median")
@@ -255,16 +256,14 @@ def decoupling_table(ours: Scores, our_rows: Sequence[str], chain: Scores, chain
 
 def ms_table(times: Mapping[str, Sequence[float]], load: float) -> Table:
     """Table IV: wall time of each stage, and the load of the machine while they were taken."""
-    lines: list[tuple[str, tuple[Cell, ...]]] = [(f"paper: {name}", (ms, None)) for name, ms in PRINTED_MS.items()]
-    names = frozenset(label for label, _ in lines)
-    for name, values in times.items():
-        lines.append((name, (float(np.mean(values)), float(np.median(values)))))
+    lines: list[Row] = [(f"{PAPER}{name}", (ms, None)) for name, ms in PRINTED_MS.items()]
+    lines += [(name, (float(np.mean(values)), float(np.median(values)))) for name, values in times.items()]
     note = (
         "Wall time, one instance after the other in one process with one thread, without a history; the keypoint "
         f"network is not part of this run. The machine's load meanwhile was {load:.1f}: above the number of its cores "
         "everything takes longer."
     )
-    return Table("table_4", "Table IV: run time", note, ("ms, mean", "ms, median"), tuple(lines), names, decimals=2)
+    return Table("table_4", "Table IV: run time", note, ("ms, mean", "ms, median"), tuple(lines), decimals=2)
 
 
 def known_shape_tables(scores: KnownShapeScores, note: str) -> tuple[Table, Table]:

@@ -15,7 +15,7 @@ from fgrecon.viz.picture import new_figure
 from fgrecon_research.evaluation.bootstrap import Interval
 from fgrecon_research.paper.known_shape import KNOWN_SHAPE_ROWS
 from fgrecon_research.paper.run import PaperEvaluation
-from fgrecon_research.paper.tables import Table
+from fgrecon_research.paper.tables import PAPER, Table
 
 _SIZE = 14.0, 17.0  # width and height, inches
 _LINES = "-", "--", ":", "-."
@@ -59,7 +59,7 @@ def _precision(axes: Any, table: Table) -> None:
     """AOP of Table I on the Hard regime at 5 degrees."""
     for place, (label, cells) in enumerate(table.rows):
         cell = cells[6] if isinstance(cells[6], Interval) else Interval(*3 * (cells[6] or 0.0,))
-        colour = _PRINTED if label in table.printed else _OURS if label.startswith("fgrecon") else _OTHER
+        colour = _PRINTED if label.startswith(PAPER) else _OURS if label.startswith("fgrecon") else _OTHER
         axes.barh(place, cell.value, color=colour, xerr=[[cell.value - cell.low], [cell.high - cell.value]])
         axes.annotate(f" {cell.value:.1f}", (cell.high, place), va="center", fontsize=7)
     axes.set_yticks(range(len(table.rows)), [label for label, _ in table.rows])

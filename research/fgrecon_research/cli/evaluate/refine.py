@@ -138,5 +138,5 @@ def _table(vehicles: Sequence[RefinedVehicle]) -> TextTable:
     return TextTable(["before -> after", "boxes", "refined", *headings, "spread"], rows)
 
 
-def _arrow(pair: tuple[float, float], digits: str) -> str:
+def _arrow(pair: Sequence[float], digits: str) -> str:
     return " -> ".join(format(value, digits) for value in pair)
