@@ -104,8 +104,6 @@ class Annotation:
     track: int  # number of the vehicle
     kind: str  # as labelled, such as `Car`
     box: Array  # (4,) 2D box x1, y1, x2, y2, pixels
-    truncation: float  # share of the box outside the image; -1 where unknown
-    occlusion: int  # KITTI's grade; -1 where unknown
     camera: Camera  # the camera, with the size of the image
     camera_T_object: Array  # (4, 4) pose
     size: Array  # (3,) length, width and height of the labelled box, metres; without one those of the fitted shape
@@ -130,8 +128,6 @@ class Annotation:
             track=int(frame.tracks[row]),
             kind=labels.kind[row],
             box=labels.box[row],
-            truncation=float(labels.truncation[row]),
-            occlusion=int(labels.occlusion[row]),
             camera=camera,
             camera_T_object=result.camera_T_object,
             size=labels.size[row] if boxed else result.box_size,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
@@ -14,22 +13,18 @@ from numpy.typing import NDArray
 
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
-from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import transform
-from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.options import BoxModel, KeypointOptions, Options, ShapeOptions
 from fgrecon.core.processes import one_thread_each
-from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category
-from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.conditioning import given_size
 from fgrecon_research.evaluation.measures import keypoint_error, rotation_error
 from fgrecon_research.evaluation.methods import load_sqpnp
 from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars, image_half, marking_offsets
-from fgrecon_research.paper.stages import solved_stages
+from fgrecon_research.paper.stages import stages
 from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior, apollo79_size_relation
 
 _Result = tuple[Array, list[str]]  # scores (R, 3) of one car, and why rows failed
@@ -159,12 +154,8 @@ def _sqpnp(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Arra
     return [(load_sqpnp()(prior.mean, car.observation, camera), prior.mean)]
 
 
-@summed_up()  # what an evaluation solves is measured, not warned of
 def _stages(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Array, Array]]:
-    def solve(options: Options) -> Reconstruction:
-        return reconstruct(car.observation, camera, prior=prior, options=options)
-
-    found = solved_stages(solve, KNOWN_SHAPE_OPTIONS, prior.category)
+    found = stages(car.observation, camera, prior, KNOWN_SHAPE_OPTIONS)
     return [(found[stage].camera_T_object, found[stage].keypoints) for stage in _STAGES]
 
 
@@ -176,34 +167,3 @@ def car_errors(car: MarkedCar, camera_T_object: Array, shape: Array) -> tuple[fl
     centre, true_centre = points.mean(axis=0), truth.mean(axis=0)
     away = float(np.linalg.norm(centre - true_centre) / np.linalg.norm(true_centre))
     return float(turn), away, float(keypoint_error(points - centre, truth - true_centre).mean())
-
-
-_EACH = 3
-
-
-@dataclass(frozen=True, eq=False)
-class ExampleCar:
-    """A car with its result and the truth."""
-
-    place: str  # `best`, `median` or `worst`
-    car: MarkedCar  # its marks, and the truth
-    camera: Camera
-    result: Reconstruction  # the reconstruction from them, by a prior that has not learnt from the car's model
-
-
-def example_cars(cars: MarkedCars, models: Apollo79) -> tuple[ExampleCar, ...]:
-    """Three cars each of the smallest, the median and the largest error of their keypoints in the camera frame."""
-    found: list[tuple[float, ExampleCar]] = []
-    for model in sorted({car.model for car in cars.cars}):
-        prior = apollo79_prior(models, basis=BASIS, exclude=[model])
-        for car in (car for car in cars.cars if car.model == model):
-            with suppress(FgreconError):
-                result = reconstruct(car.observation, cars.camera, prior=prior, options=KNOWN_SHAPE_OPTIONS)
-                if np.isfinite(result.camera_T_object).all():
-                    error = car_errors(car, result.camera_T_object, result.wireframe)[2]
-                    found.append((error, ExampleCar("", car, cars.camera, result)))
-    ordered = [example for _, example in sorted(found, key=lambda pair: pair[0])]
-    each = min(_EACH, len(ordered) // 3)
-    middle = (len(ordered) - each) // 2
-    places = {"best": 0, "median": middle, "worst": len(ordered) - each}
-    return tuple(replace(one, place=place) for place, at in places.items() for one in ordered[at : at + each])

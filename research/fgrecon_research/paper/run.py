@@ -8,22 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fgrecon.core.arrays import Array
 from fgrecon.io.kitti_files import Objects
 from fgrecon.io.track_file import Track, read_track
 from fgrecon_research.evaluation.kitti_devkit import Space, evaluate
 from fgrecon_research.io.kitti_sets import count_defects, write_results
 from fgrecon_research.paper.apollocar3d import CONSISTENT, FEWEST_MARKS, MarkedCars, read_apollocar3d
 from fgrecon_research.paper.claims import Claim, claims
-from fgrecon_research.paper.keypoint_noise_fit import read_vehicle, residuals
 from fgrecon_research.paper.known_shape import (
     BASIS,
     KNOWN_SHAPE_OPTIONS,
-    ExampleCar,
     KnownShapeScores,
-    example_cars,
     score_known_shapes,
 )
 from fgrecon_research.paper.network import network_parts, network_table, parts_note, read_hand_labels
@@ -47,7 +42,6 @@ from fgrecon_research.paper.tables import (
     mae_table,
     ms_table,
     per_part_table,
-    row_label,
     simulated_parts,
     stage_table,
 )
@@ -59,11 +53,6 @@ _NETWORK_PARTS = "APK of each part on Hard (real images, own network)"
 _PARTS_NOTE = (
     "Percent of the detected Hard cars whose keypoint projects within 0.1 of the box's longer side of the truth."
 )
-_SHOWN = (
-    *("initialisation", "epnp+size", "aspnp+size", "sqpnp_confident+size", "poselib_ransac+size", "aspnp_irls+size"),
-    *("fgrecon+size", "joint"),
-)
-"""Methods whose errors are drawn."""
 
 
 @dataclass(frozen=True)
@@ -73,16 +62,10 @@ class PaperEvaluation:
     conditions: tuple[str, ...]  # what was run under which conditions, a paragraph each
     claims: tuple[Claim, ...]  # what the numbers say about the paper's claims
     tables: tuple[Table, ...]
-    orientation: Mapping[str, Array]  # errors of the simulated Hard cars by method, degrees
-    known: KnownShapeScores  # of the real cars of known shape
-    # distances of keypoints from the truth over the longer side of the box, and which of them are visible, by what
-    # measured them
-    measured: Mapping[str, tuple[Array, NDArray[np.bool_]]]
     problems: Mapping[str, int]  # defects of the files, counted by kind, and
     defects: tuple[str, ...]  # each by name
     failures: tuple[str, ...]  # instances that some row failed on, with the reason
     throughput: Mapping[str, float]  # simulated instances that were worked on now, seconds, and instances a second
-    cars: tuple[ExampleCar, ...] = ()  # cars of known shape that came out best, in the middle and worst
 
 
 @dataclass(frozen=True)
@@ -139,14 +122,10 @@ def evaluate_paper(
         conditions=_conditions(settings, outcomes, inputs.validation),
         claims=claims(main.scores, main.condition.rows, chain.scores, chain.condition.rows),
         tables=tables,
-        orientation=_orientation(main),
-        known=known,
-        measured=_measured(settings, main.scores),
         problems=count_defects(inputs.validation.problems),
         defects=tuple(map(str, inputs.validation.problems)),
         failures=(*(f for o in outcomes.values() for f in o.scores.failures.tolist()), *known.failures),
         throughput={"instances": solved, "seconds": seconds, "per_second": solved / max(seconds, 1e-9)},
-        cars=example_cars(inputs.cars, inputs.models),
     )
 
 
@@ -186,24 +165,6 @@ def _tables(
         *known_shape_tables(known, _known_note(inputs.cars)),
         *measured.real,
     )
-
-
-def _orientation(main: ConditionResult) -> dict[str, Array]:
-    """(M,) errors of the Hard cars, degrees, by what tables call the methods."""
-    scores, rows = main.scores, main.condition.rows
-    return {row_label(row): scores.orientation[scores.regimes[:, -1], rows.index(row)] for row in _SHOWN}
-
-
-def _measured(settings: PaperSettings, scores: Scores) -> dict[str, tuple[Array, NDArray[np.bool_]]]:
-    """How far measured keypoints are from the truth, and which are visible: the real network's and simulated ones."""
-    prior, detected = settings.scene.prior, scores.detection >= 0
-    paths = sorted((settings.data / _TRACK_FORMAT).glob("*.json"))
-    network = [residuals(read_vehicle(path, prior.category), prior) for path in paths]
-    away = np.concatenate([np.linalg.norm(one.errors, axis=2).ravel() for one in network])
-    return {
-        "network": (away, np.concatenate([one.visible.ravel() for one in network])),
-        "simulated": (scores.measured[detected].ravel(), scores.visible[detected].ravel()),
-    }
 
 
 def _conditions(

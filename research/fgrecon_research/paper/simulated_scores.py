@@ -116,7 +116,8 @@ def row_solvers(rows: Sequence[str], scene: SceneKnowledge, seed: int) -> tuple[
     def staged(names: Mapping[str, str], options: Options) -> RowSolver:
         def solve(instance: SimulatedInstance) -> dict[str, StageEstimate]:
             assert instance.observation is not None
-            found = stages(instance.observation, instance.camera, scene, scene.ground, options)
+            given = {"ground": scene.ground, "size_prior": scene.size}
+            found = stages(instance.observation, instance.camera, scene.prior, options, **given)
             return {name: found[stage] for name, stage in names.items()}
 
         return solve

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
@@ -16,6 +15,7 @@ from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
@@ -44,39 +44,27 @@ class StageEstimate:
         return transform(self.camera_T_object, self.keypoints)
 
 
-@summed_up()
+@summed_up()  # what an evaluation solves is measured, not warned of
 def stages(
-    observation: Observation, camera: Camera, scene: SceneKnowledge, ground: Ground | None, options: Options
-) -> dict[str, StageEstimate]:
-    """State after each stage: `pose`, `shape` (pose fixed: solved one after the other) and `joint` (both together).
-
-    Raises:
-        InvalidInputError: Something given cannot be used.
-        DegenerateProblemError: The keypoints do not determine a pose.
-    """
-
-    def solve(settings: Options) -> Reconstruction:
-        return reconstruct(
-            observation, camera, prior=scene.prior, ground=ground, size_prior=scene.size, options=settings
-        )
-
-    return solved_stages(solve, options, scene.prior.category)
-
-
-def solved_stages(
-    solve: Callable[[Options], Reconstruction], options: Options, category: Category
+    observation: Observation, camera: Camera, prior: ShapePrior, options: Options, **given: Any
 ) -> dict[str, StageEstimate]:
     """The states after each stage: `pose`, `shape` (pose fixed) and `joint`, which by default are two solves.
 
     Args:
         options: Settings; they must keep the history.
+        given: What else `fgrecon.reconstruct` is given.
+
+    Raises:
+        InvalidInputError: Something given cannot be used.
+        DegenerateProblemError: The keypoints do not determine a pose.
     """
     if not options.keep_history:
         raise ValueError("The stages are read from the history: keep it.")
-    result = solve(options)
-    if any(step.stage == "shape" for step in result.diagnostics.history):  # the paper's own scheme has all three
-        return stages_of(result, result, category)
-    return stages_of(result, solve(replace(options, shape=replace(options.shape, joint=False))), category)
+    result = fixed = reconstruct(observation, camera, prior=prior, options=options, **given)
+    if all(step.stage != "shape" for step in result.diagnostics.history):  # the paper's own scheme has all three
+        apart = replace(options, shape=replace(options.shape, joint=False))
+        fixed = reconstruct(observation, camera, prior=prior, options=apart, **given)
+    return stages_of(result, fixed, prior.category)
 
 
 def stages_of(result: Reconstruction, fixed: Reconstruction, category: Category) -> dict[str, StageEstimate]:

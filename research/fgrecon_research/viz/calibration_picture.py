@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-
 from fgrecon.core.coverage import LEVELS, Coverage, Reliability
 from fgrecon.viz import style
 from fgrecon.viz.marks import unit
+from fgrecon.viz.picture import new_figure
 
 _SIZE = (7.2, 3.5)
 _LINES = ("-", "--", ":", "-.")
@@ -29,8 +27,8 @@ def calibration_picture(regions: Sequence[Coverage], facing: Reliability | None)
     Returns:
         A `matplotlib.figure.Figure` with an Agg canvas; see `fgrecon.viz.save_picture`.
     """
-    figure = Figure(figsize=_SIZE, facecolor=unit(style.PAPER), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(*_SIZE)
+    figure.set_layout_engine("constrained")
     left, right = figure.subplots(1, 2)
     _frame(left, "Regions", "claimed probability", "share of errors inside")
     for number, one in enumerate(regions):

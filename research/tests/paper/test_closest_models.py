@@ -6,17 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.text import Text
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.vehicle_mesh import VehicleMesh
-from fgrecon.viz import contact_sheet
-from fgrecon_research.cli.paper.paper import _vehicle
 from fgrecon_research.paper.apollocar3d import read_apollocar3d
 from fgrecon_research.paper.closest_models import CLOSEST_ROWS, ClosestModelRanks, _ranked, rank_models
-from fgrecon_research.paper.known_shape import car_errors, example_cars
 from fgrecon_research.training.priors.apollo79 import DUPLICATE, load_apollo79
 
 SHAPE = np.arange(42, dtype=np.float64).reshape(14, 3)
@@ -54,18 +50,6 @@ def test_the_right_model_is_found_more_often_than_by_chance(data):
     assert found.count == 78
     assert found.share("Hausdorff+others", 5) > 1.5 * found.share("chance", 5)
     assert found.share("mean shape", 1) == 0.0
-
-
-@pytest.mark.data
-def test_cars_to_look_at_are_the_best_the_middle_and_the_worst(data):
-    models = load_apollo79(data)
-    cars = read_apollocar3d(data / "apollocar3d_val" / "annotations.json", models)
-    found = example_cars(replace(cars, cars=cars.cars[::40]), models)
-    assert [one.place for one in found] == ["best"] * 3 + ["median"] * 3 + ["worst"] * 3
-    errors = [car_errors(o.car, o.result.camera_T_object, o.result.wireframe)[2] for o in found]
-    assert errors == sorted(errors)
-    shown = contact_sheet([_vehicle(one) for one in found], columns=3).findobj(Text)
-    assert sum(text.get_text().startswith("worst: ") for text in shown) == 3
 
 
 def test_the_command_names_what_is_missing(tmp_path):

@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_files import Objects
-from fgrecon.viz import save_picture
 from fgrecon_research.evaluation import report
 from fgrecon_research.evaluation.bootstrap import Interval
 from fgrecon_research.paper.claims import Claim, claims, decoupling_claim, irls_claim, ranking_claim
@@ -30,7 +29,6 @@ from fgrecon_research.paper.tables import (
     simulated_parts,
     stage_table,
 )
-from fgrecon_research.viz.paper_picture import paper_picture
 
 
 def made_up(rows, count=40, errors=None):
@@ -197,41 +195,17 @@ def tables(scores, known, scene):
 
 
 @pytest.fixture(scope="module")
-def page(scores, known, tables):
-    hard = scores.orientation[scores.regimes[:, -1]]
-    orientation = {row: hard[:, MAIN_ROWS.index(row)] for row in ("aspnp+size", "joint")}
-    measured = {"simulated": (scores.measured.ravel(), scores.visible.ravel())}
+def page(tables):
     speed = {"instances": 30.0, "seconds": 10.0, "per_second": 3.0}
     return PaperEvaluation(
         ("conditions",),
         (Claim("a claim", ("A sentence.",)),),
         tables,
-        orientation,
-        known,
-        measured,
         {"missing frame": 5},
         _DEFECTS,
         ("000001:0: no luck",),
         speed,
     )
-
-
-def test_the_figure_draws_every_number(page, scores):
-    above, errors, noise, *parts = paper_picture(page).axes
-    assert [text.get_text() for text in above.get_yticklabels()] == [label for label, _ in page.tables[0].rows]
-    widths = [bar.get_width() for bar in above.patches]
-    assert widths == [getattr(cells[6], "value", cells[6]) for _, cells in page.tables[0].rows]
-    wanted = np.sort(scores.orientation[scores.regimes[:, -1], MAIN_ROWS.index("joint")])
-    np.testing.assert_array_equal(errors.lines[1].get_xdata(), wanted)
-    assert errors.lines[1].get_ydata()[-1] == 100.0
-    assert len(noise.lines) == 2
-    assert [len(axes.patches) for axes in parts[:2]] == [14 * len(table.columns) for table in page.tables[2:4]]
-    assert len(parts) == 5
-
-
-def test_the_same_numbers_give_the_same_picture(page, tmp_path):
-    first, second = (save_picture(tmp_path / name, paper_picture(page)).read_bytes() for name in ("a.svg", "b.svg"))
-    assert first == second
 
 
 def test_markdown_has_every_table_and_claim(page):

@@ -140,13 +140,14 @@ def test_stages_of_an_exact_observation_end_at_the_truth(scene, fleet):
     noise = HOURGLASS
     frame = frame_of(label(scene.prior, 1.5, 12.0, 0.4, size=tuple(scene.size.mean)))
     instance = simulate_frame(frame, Fleet(fleet.vehicles, fleet.sizes, noise))[0]
-    found = stages(instance.observation, instance.camera, scene, scene.ground, Options(box=BoxModel.CUBOID))
+    given = {"ground": scene.ground, "size_prior": scene.size}
+    found = stages(instance.observation, instance.camera, scene.prior, Options(box=BoxModel.CUBOID), **given)
     assert list(found) == ["pose", "shape", "joint"]
     # In the shape stage the pose is a constant.
     np.testing.assert_allclose(found["shape"].camera_T_object, found["pose"].camera_T_object, atol=1e-12)
     assert found["joint"].in_camera()[:, 2] == pytest.approx(12.0, abs=4.0)
     with pytest.raises(ValueError, match="history"):
-        stages(instance.observation, instance.camera, scene, None, Options(keep_history=False))
+        stages(instance.observation, instance.camera, scene.prior, Options(keep_history=False))
 
 
 ROWS = ("initialisation", "sqpnp_confident+size", "pose", "sequential", "joint")

@@ -10,14 +10,11 @@ import typer
 
 from fgrecon.cli.options import LabelledScene
 from fgrecon.cli.terminal import Terminal
-from fgrecon.viz import SolvedVehicle, Truth, contact_sheet, save_picture
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
 from fgrecon_research.evaluation import report
 from fgrecon_research.paper.documents import document, markdown
-from fgrecon_research.paper.known_shape import ExampleCar
 from fgrecon_research.paper.run import evaluate_paper
 from fgrecon_research.paper.simulated_run import PaperSettings
-from fgrecon_research.viz.paper_picture import paper_picture
 
 
 def paper_command(
@@ -40,7 +37,7 @@ def paper_command(
 ) -> None:
     """Make every table of the paper: real tracks, real images, simulated validation set, cars of known shape.
 
-    Writes evaluation.md, evaluation.json, plots.svg, cars.svg and KITTI result files. A run that was interrupted goes
+    Writes evaluation.md, evaluation.json and KITTI result files. A run that was interrupted goes
     on where it stopped. Stored parts know the data and settings that they were made from, but not unreleased changes
     of the code: use --fresh after those. Nothing is recorded for the viewer, these are thousands of cars: see
     `fgrecon evaluate tracks --save`. --verbose names every defect of the files and every failure.
@@ -56,13 +53,4 @@ def paper_command(
     screen.detail(*found.defects, *found.failures)
     screen.write_text(out / "evaluation.md", markdown(found))
     screen.write_text(out / "evaluation.json", report.to_json(document(found, parameters)))
-    screen.wrote(save_picture(out / "plots.svg", paper_picture(found)))
-    if found.cars:
-        screen.wrote(save_picture(out / "cars.svg", contact_sheet([_vehicle(one) for one in found.cars], columns=3)))
     screen.wrote(out / "kitti_results")
-
-
-def _vehicle(one: ExampleCar) -> SolvedVehicle:
-    """A car with people's marks and the true box; no photograph is there to be drawn on."""
-    truth = Truth(one.car.camera_T_object, one.car.size, one.car.shape)
-    return SolvedVehicle(one.result, one.car.observation, one.camera, None, truth, f"{one.place}: {one.car.name}")

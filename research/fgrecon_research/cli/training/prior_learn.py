@@ -54,17 +54,6 @@ class Learning:
         int, typer.Option(min=0, help="Draws of the vehicles that tell how sure the mean is; 0 for none.")
     ] = 12
 
-    def options(self, min_visible: int) -> NrsfmOptions:
-        """The settings as the method has them."""
-        return NrsfmOptions(
-            basis=self.basis,
-            perspective=self.perspective,
-            min_visible=min_visible,
-            restarts=self.restarts,
-            seed=self.seed,
-            bootstrap=self.bootstrap,
-        )
-
 
 def learn_command(
     files: Annotated[
@@ -106,12 +95,13 @@ def learn_command(
     if annotations.images is not None:
         rng = np.random.default_rng(learning.seed)
         data = data.select(spread(data, annotations.images, rng, min_visible=least))
-    screen = terminal.screen()
+    how = {name: value for name, value in vars(learning).items() if name != "proportions"}
+    screen, options = terminal.screen(), NrsfmOptions(min_visible=least, **how)
     with screen.bar() as advance:
         learnt = learn_prior(
             data,
             size=size,
-            options=learning.options(least),
+            options=options,
             proportions=learning.proportions,
             name=name or out.stem,
             progress=_progress_callback(advance) if screen.bars else None,

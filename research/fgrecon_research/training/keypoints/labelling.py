@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,17 +91,8 @@ class Labelling:
         )
 
     @classmethod
-    def load(cls, path: Path, cars: Sequence[PosedCar]) -> Labelling:
-        """The reverse of `save`, for the same photographs.
-
-        Raises:
-            InvalidInputError: The file is damaged, or holds labels of others.
-        """
-        return cls.of(_arrays(path), path, cars)
-
-    @classmethod
     def open(cls, path: Path, cars: Sequence[PosedCar]) -> Labelling | None:
-        """What `load` gives, or None where the file is not there, or is damaged and put aside.
+        """What was saved of the same photographs; None where the file is not there, or is damaged and put aside.
 
         Warns:
             DamagedFileWarning: It is damaged; names it.
@@ -110,16 +100,9 @@ class Labelling:
         Raises:
             InvalidInputError: The file holds labels of others.
         """
-        arrays = stored(path, _arrays)
-        return None if arrays is None else cls.of(arrays, path, cars)
-
-    @classmethod
-    def of(cls, arrays: Mapping[str, NDArray[Any]], path: Path, cars: Sequence[PosedCar]) -> Labelling:
-        """From the arrays of a file.
-
-        Raises:
-            InvalidInputError: They are labels of other photographs.
-        """
+        arrays = stored(path, lambda file: read_arrays(file, str(file), MADE_AGAIN))
+        if arrays is None:
+            return None
         if len(arrays["trusted"]) != len(cars):
             raise InvalidInputError(str(path), f"{len(arrays['trusted'])} photographs", "Train in an empty folder.")
         posed = [
@@ -247,10 +230,6 @@ def open_photographs(
             drawn = [car.silhouette(silhouettes) if used else None for car, used in outlined]
         prepare_photographs(labelling.cars, fits, source.prior, folder, drawn, progress)
     return Photographs.load(folder, labelling.labels, labelling.cars)
-
-
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    return read_arrays(path, str(path), MADE_AGAIN)
 
 
 def _known(keypoints: Array, visible: Array, unknown: NDArray[np.bool_]) -> Labels:

@@ -172,7 +172,7 @@ def test_a_trained_network_can_go_on(source, tmp_path):
     how = replace(HOW, steps=1, rate=0.0)
     network, labelling, _ = train_in_rounds(source, tmp_path / "work", how, [], Beginning(start=start))
     torch.testing.assert_close(network.head.weight, begun.head.weight, atol=1e-3, rtol=1e-3)
-    first = Labelling.load(tmp_path / "work" / "labels-first.npz", source.cars)
+    first = Labelling.open(tmp_path / "work" / "labels-first.npz", source.cars)
     assert np.abs(labelling.labels.keypoints - first.labels.keypoints).max() > 0
 
 
@@ -228,12 +228,12 @@ def test_marks_teach_where_a_coupes_rear_window_is(source, detector, tmp_path):
 def test_labels_survive_the_file(source, tmp_path):
     labelling = first_labelling(source)
     labelling.save(tmp_path / "l.npz")
-    back = Labelling.load(tmp_path / "l.npz", source.cars)
+    back = Labelling.open(tmp_path / "l.npz", source.cars)
     np.testing.assert_array_equal(back.labels.keypoints, labelling.labels.keypoints)
     np.testing.assert_array_equal(back.fits["b"].coefficients, labelling.fits["b"].coefficients)
     np.testing.assert_allclose(back.cars[2].rotation, source.cars[2].rotation)
     with pytest.raises(InvalidInputError, match="photographs"):
-        Labelling.load(tmp_path / "l.npz", source.cars[:3])
+        Labelling.open(tmp_path / "l.npz", source.cars[:3])
 
 
 def test_calibration_runs_on_held_out_samples(trained, source, detector):
