@@ -1,6 +1,6 @@
 """The budgets of the code: what is counted is what the script says."""
 
-from benchmarks.budgets import lines_of, rooms, traced
+from benchmarks.budgets import line_budgets, lines_of, rooms, traced
 
 from .test_layers import ROOMS
 
@@ -22,3 +22,8 @@ def test_rooms_stand_as_in_the_tested_table():
 
 def test_lines_are_those_of_code():
     assert lines_of("fgrecon/solve") < lines_of("fgrecon") < lines_of("fgrecon", "factors")
+
+
+def test_budgets_of_lines_that_are_met_stay_met():
+    _, *met = line_budgets()
+    assert not [budget for budget in met if budget.count > budget.most]

@@ -23,10 +23,16 @@ class Interval:
     low: float
     high: float
 
-    def shown(self, digits: int, factor: float = 1.0) -> str:
-        """`value (low-high)` with so many digits, in another unit where a factor is given."""
-        value, low, high = (f"{factor * number:.{digits}f}" for number in (self.value, self.low, self.high))
-        return f"{value} ({low}-{high})"
+
+def shown(interval: Interval | None, tracks: int, digits: int, factor: float = 1.0) -> str:
+    """`value (low-high)` with so many digits, in another unit where a factor is given; a dash for None.
+
+    Of a single track nothing can be drawn: there it is the value alone.
+    """
+    if interval is None:
+        return "-"
+    value, low, high = (f"{factor * number:.{digits}f}" for number in (interval.value, interval.low, interval.high))
+    return f"{value} ({low}-{high})" if tracks > 1 else value
 
 
 def mean_interval(values: ArrayLike, groups: ArrayLike | None = None, seed: int = 0) -> Interval:

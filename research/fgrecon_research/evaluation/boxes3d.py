@@ -125,22 +125,6 @@ def score(
     return found
 
 
-def score_drives(
-    drives: Sequence[Drive],
-    results: Mapping[str, Mapping[int, Objects]],
-    frames: Mapping[str, Sequence[int]],
-    *,
-    least: float = 0.5,
-    min_score: float = 0.0,
-) -> list[LabelledBox]:
-    """`score` of several drives; results and frames are by their names."""
-    return [
-        one
-        for drive in drives
-        for one in score(drive, results[drive.name], frames[drive.name], least=least, min_score=min_score)
-    ]
-
-
 def scored_box(drive: str, frame: str, index: int, group: str, label: Objects, box: Objects | None) -> LabelledBox:
     """A labelled vehicle, at an index among the frame's labels, and its one box, if there is any."""
     about = (drive, frame, index, label.kind[0], float(np.linalg.norm(label.location[0])), group, box is not None)

@@ -19,7 +19,7 @@ from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES
 from fgrecon.core.serialise import finite
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
-from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
+from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval, shown
 from fgrecon_research.evaluation.boxes3d import LabelledBox
 from fgrecon_research.evaluation.kitti_devkit import LEAST_LABELS, REGIMES, Space, evaluate
 from fgrecon_research.evaluation.measures import THRESHOLDS, bands
@@ -199,7 +199,7 @@ def tables(
         for name, groups in summaries.items():
             one = groups[group]
             about = {"": group, "source": name}
-            intervals = [_shown(share, one, 0) for share in (*one.right, *one.ground, *one.within)]
+            intervals = [shown(share, one.tracks, 0) for share in (*one.right, *one.ground, *one.within)]
             heads = (*spaces, *(f"within {most}° %" for most in THRESHOLDS))
             counts = {"labels": str(one.vehicles), "found": str(one.found)}
             shares.append(about | counts | dict(zip(heads, intervals, strict=True)))
@@ -216,19 +216,12 @@ def tables(
 
 
 def _error_cells(one: OverlapSummary) -> dict[str, str]:
-    known, of = one.intervals, one.found
+    known, of, tracks = one.intervals, one.found, one.tracks
     return {
-        "mean m": _shown(one.mean_metres, one, 2),
-        "median m": _shown(known.get("median_metres"), one, 2),
+        "mean m": shown(one.mean_metres, tracks, 2),
+        "median m": shown(known.get("median_metres"), tracks, 2),
         "depth %": f"{one.depth:+.1f}" if of else "-",
         "flipped %": f"{one.flipped:.1f}" if of else "-",
-        "size cm": _shown(known.get("absolute_size"), one, 0, 100.0),
+        "size cm": shown(known.get("absolute_size"), tracks, 0, 100.0),
         "l, w, h m": ", ".join(f"{error:+.2f}" for error in one.size) if of else "-",
     }
-
-
-def _shown(interval: Interval | None, of: OverlapSummary, digits: int, factor: float = 1.0) -> str:
-    """With its interval, where there are several tracks to draw; a dash where nothing is found."""
-    if interval is None:
-        return "-"
-    return interval.shown(digits, factor) if of.tracks > 1 else f"{factor * interval.value:.{digits}f}"

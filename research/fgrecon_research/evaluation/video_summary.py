@@ -21,7 +21,7 @@ from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.serialise import finite
 from fgrecon.io.kitti_files import Objects
-from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
+from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval, shown
 from fgrecon_research.evaluation.kitti_devkit import Space, overlap
 from fgrecon_research.evaluation.measures import THRESHOLDS, bands
 from fgrecon_research.evaluation.text_table import TextTable, number_or_dash
@@ -370,30 +370,23 @@ def tables(summaries: Summaries) -> dict[str, TextTable]:
 
 def _cells(score: PoseSummary) -> dict[str, str]:
     """The numbers by their headings."""
-
-    def shown(one: Interval | None, digits: int, factor: float = 1.0) -> str:
-        """A number that a group may lack and, where there are several tracks, its 95 % interval."""
-        if one is None:
-            return "-"
-        return f"{factor * one.value:.{digits}f}" if score.tracks < 2 else one.shown(digits, factor)
-
-    network, known = score.network_heading_flips, score.intervals
+    network, known, tracks = score.network_heading_flips, score.intervals, score.tracks
     return {
-        **{f"AOP {threshold}° %": shown(share, 1) for threshold, share in score.aop.items()},
-        "flipped %": shown(score.heading_flips, 2),
-        "no estimate %": shown(score.without_estimate, 2),
-        "silent %": shown(score.silent, 2),
+        **{f"AOP {threshold}° %": shown(share, tracks, 1) for threshold, share in score.aop.items()},
+        "flipped %": shown(score.heading_flips, tracks, 2),
+        "no estimate %": shown(score.without_estimate, tracks, 2),
+        "silent %": shown(score.silent, tracks, 2),
         "network %": "-" if network is None else f"{network.value:.1f}",
         "yaw °": f"{score.mean_degrees.value:.2f}",
-        "median m": shown(known.get("median_metres"), 3),
-        "mean m": shown(known.get("mean_metres"), 3),
-        "IoU 0.7 %": shown(score.overlapping, 1),
-        "length cm": shown(known.get("mean_absolute_length_error"), 1, 100.0),
-        "size cm": shown(known.get("mean_absolute_size_error"), 1, 100.0),
+        "median m": shown(known.get("median_metres"), tracks, 3),
+        "mean m": shown(known.get("mean_metres"), tracks, 3),
+        "IoU 0.7 %": shown(score.overlapping, tracks, 1),
+        "length cm": shown(known.get("mean_absolute_length_error"), tracks, 1, 100.0),
+        "size cm": shown(known.get("mean_absolute_size_error"), tracks, 1, 100.0),
         "jitter °": number_or_dash(score.jitter_degrees, ".2f"),
         "jitter m": number_or_dash(score.jitter_metres, ".3f"),
         **{f"{name} NEES": _compared(score.consistency.get(name)) for name in DIMENSIONS},
-        "velocity m/s": shown(known.get("median_velocity"), 2),
+        "velocity m/s": shown(known.get("median_velocity"), tracks, 2),
     }
 
 

@@ -20,12 +20,12 @@ from fgrecon.core.processes import one_thread_each
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category
-from fgrecon.solve.vehicle.conditioning import given_size
+from fgrecon.solve.vehicle.conditioning import given_size, learn_size_relation
 from fgrecon_research.evaluation.measures import keypoint_error, rotation_error
 from fgrecon_research.evaluation.methods import load_sqpnp
 from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars, image_half, marking_offsets
 from fgrecon_research.paper.stages import stages
-from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior, apollo79_size_relation
+from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior, kept_models
 
 _Result = tuple[Array, list[str]]  # scores (R, 3) of one car, and why rows failed
 
@@ -128,7 +128,8 @@ def _score_model(
     exclude, size, (offsets, frequency) = [cars[0].model], cars[0].size, others
     prior = apollo79_prior(models, basis=BASIS, exclude=exclude)
     frequent = apollo79_prior(models, basis=BASIS, exclude=exclude, weights=frequency)
-    relation = apollo79_size_relation(models, prior, exclude)
+    keep = kept_models(models, exclude)
+    relation = learn_size_relation(prior, models.keypoints[keep], models.size[keep])
     sized = given_size(prior, SizePrior("the true size", size, _SIZE_SIGMA * size), relation)
     as_modelled = np.zeros_like(offsets)
     variants = [(prior, as_modelled), (frequent, offsets), (sized, as_modelled), (sized, offsets)]

