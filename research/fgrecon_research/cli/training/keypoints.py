@@ -23,7 +23,6 @@ from fgrecon.perception.from_image import reconstruct_detection
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
 from fgrecon_research.cli.training.label import label_street
-from fgrecon_research.evaluation.measures import THRESHOLDS
 from fgrecon_research.paper.network import adjust_marked
 from fgrecon_research.training.keypoints.evaluate import (
     GROUPS,
@@ -272,7 +271,7 @@ def direction_errors(screen: Screen, detector: KeypointCascade, data: Path, coun
         lambda detection, camera: reconstruct_detection(detection, camera, options=options, prior=prior),
         screen.watch,
     )
-    median, within = float(np.median(errors)), {most: float((errors <= most).mean()) for most in THRESHOLDS}
+    median, within = float(np.median(errors)), {most: float((errors <= most).mean()) for most in (5, 15, 30)}
     shares = "/".join(f"{100 * share:.1f}" for share in within.values())
     screen.print(
         f"End to end on {len(chosen)} validation photographs: median {median:.1f}°, within 5/15/30°: {shares} %"
