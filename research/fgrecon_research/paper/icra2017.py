@@ -287,12 +287,13 @@ def _evaluate(name: str, example: Icra2017Example, prior: ShapePrior, options: O
 
     timed = [solve(history=False).diagnostics.milliseconds for _ in range(runs)]
     result = solve(history=True)
+    labelled = _centre(true_pose(example), example.size)
     return Icra2017Result(
         name=name,
         example=example,
         reconstruction=result,
         orientation_error=float(orientation_error([result.rotation_y], [example.rotation_y])[0]),
-        centre_error=float(np.linalg.norm(_centre(result.camera_T_object, result.box_size) - _label_centre(example))),
+        centre_error=float(np.linalg.norm(_centre(result.camera_T_object, result.box_size) - labelled)),
         milliseconds={stage: min(times[stage] for times in timed) for stage in result.diagnostics.milliseconds}
         if timed
         else {},
@@ -302,7 +303,3 @@ def _evaluate(name: str, example: Icra2017Example, prior: ShapePrior, options: O
 def _centre(camera_T_object: Array, size: Array) -> Array:
     """(3,) centre of a box standing on the object's origin, camera frame."""
     return camera_T_object[:3, 3] - camera_T_object[:3, 1] * size[2] / 2.0
-
-
-def _label_centre(example: Icra2017Example) -> Array:
-    return _centre(true_pose(example), example.size)

@@ -190,7 +190,7 @@ def network_table(scores: NetworkScores) -> Table:
             cells += 5 * [None]
         points = scores.visible & used[-1][:, None]
         cells += [100.0 * float(np.median(away[points])), int((~np.isfinite(away[used[-1]]).all(axis=1)).sum())]
-        lines.append((_label(row), tuple(cells)))
+        lines.append((LABELS[row], tuple(cells)))
     columns = (
         *(f"{regime.capitalize()} APK %" for regime in _REGIMES),
         *(f"{regime.capitalize()} Hausdorff m, placed" for regime in _REGIMES),
@@ -219,11 +219,7 @@ def network_parts(scores: NetworkScores) -> Mapping[str, Array]:
     keep = scores.visible & scores.used("hard")[:, None]
     with np.errstate(invalid="ignore"):
         shares = {row: ((away <= APK_ALPHA) & keep).sum(axis=0) / keep.sum(axis=0) for row, away in scores.away.items()}
-    return {_label(row): 100.0 * share for row, share in shares.items()}
-
-
-def _label(row: str) -> str:
-    return "keypoint network" if row == "network" else LABELS[row]
+    return {LABELS[row]: 100.0 * share for row, share in shares.items()}
 
 
 def _frame(item: Scored) -> str:

@@ -31,6 +31,7 @@ right points; `fgrecon keypoints evaluate` has the average precision by confiden
 NEAR, FAR = 20.0, 40.0
 
 LABELS: Mapping[str, str] = {
+    "network": "keypoint network",
     "initialisation": "initialisation alone",
     "epnp+size": "EPnP",
     "sqpnp+size": "SQPnP",

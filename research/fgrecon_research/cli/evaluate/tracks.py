@@ -28,10 +28,6 @@ _FAILURES_SHOWN = 5
 _WIDE = 160  # columns of the terminal that the whole table needs
 
 
-def _methods() -> list[str]:
-    return list(METHODS)
-
-
 def tracks_command(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE", help="Tracks with keypoints and labelled poses (JSON).")
@@ -45,7 +41,7 @@ def tracks_command(
             metavar="NAME",
             help="Run this method alone; give it again for more. With another robust strategy: fgrecon+size:paper.",
             show_default="all",
-            autocompletion=fitting_names(_methods),
+            autocompletion=fitting_names(lambda: list(METHODS)),
         ),
     ] = None,
     json_out: JsonOption = None,

@@ -38,10 +38,6 @@ _RIVAL = "sqpnp_confident"
 _COLUMNS = 5
 
 
-def _rivals() -> list[str]:
-    return list(METHODS)
-
-
 @dataclass(frozen=True)
 class Sensors:
     """Which other sensors' evidence is scored beside the picture alone."""
@@ -115,7 +111,7 @@ def video_command(
             metavar="NAME",
             help="Method of `evaluate tracks` that gets the same keypoints; repeat for more.",
             show_default=_RIVAL,
-            autocompletion=fitting_names(_rivals),
+            autocompletion=fitting_names(lambda: list(METHODS)),
         ),
     ] = None,
 ) -> None:

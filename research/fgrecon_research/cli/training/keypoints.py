@@ -41,10 +41,6 @@ from fgrecon_research.training.keypoints.settings import TrainingSettings, read_
 from fgrecon_research.training.keypoints.trainer import Display, TrainingProgress
 
 
-def _settings() -> list[str]:
-    return list(shipped_settings())
-
-
 def evaluate_command(
     terminal: Terminal,
     data: DataOption = DATA,
@@ -165,7 +161,7 @@ def train_command(
         typer.Option(
             metavar="NAME|FILE",
             help="Trainings in a chain (TOML); keypoints-car14 is how the shipped networks were made.",
-            autocompletion=fitting_names(_settings),
+            autocompletion=fitting_names(lambda: list(shipped_settings())),
         ),
     ] = "keypoints-car14",
 ) -> None:
