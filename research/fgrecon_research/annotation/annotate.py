@@ -54,10 +54,6 @@ class _Member:
         observation = self.found.observation.with_evidence([points])
         return replace(self, found=replace(self.found, observation=observation))
 
-    def left_out(self, reason: Reason) -> LeftOut:
-        """It, without keypoints."""
-        return _left_out(self.frame, self.row, reason)
-
 
 def annotate(
     drive: Drive,
@@ -106,7 +102,7 @@ def annotate(
     if unboxed is not None:
         fitted = fit_unboxed(_by_frame(others), prior, unboxed, progress)
         found += [(one, fitted[one.frame.number, one.track]) for one in others]
-    left += [member.left_out(fit) for member, fit in found if isinstance(fit, Reason)]
+    left += [_left_out(member.frame, member.row, fit) for member, fit in found if isinstance(fit, Reason)]
     fits = {(member.frame.number, member.row): fit for member, fit in found if isinstance(fit, Fit)}
     made = [
         Annotation.of(*(member.frame, member.row, member.camera, member.found, fit), _nearer(member, prior, fits))

@@ -67,13 +67,8 @@ def median_interval(values: ArrayLike, groups: ArrayLike | None = None, seed: in
 def statistic_interval(values: ArrayLike, statistic: Callable[[NDArray[np.float64]], float], seed: int = 0) -> Interval:
     """Any statistic of values (M,), such as the median, with its interval; each value is drawn by itself."""
     numbers = _checked(values)
-    return _interval(float(statistic(numbers)), np.array([statistic(sample) for sample in resampled(numbers, seed)]))
-
-
-def resampled(values: NDArray[np.float64], seed: int = 0) -> NDArray[np.float64]:
-    """(S, M) samples drawn from the values (M,) with replacement."""
-    rng = np.random.default_rng(seed)
-    return values[rng.integers(len(values), size=(_SAMPLES, len(values)))]
+    samples = numbers[np.random.default_rng(seed).integers(len(numbers), size=(_SAMPLES, len(numbers)))]
+    return _interval(float(statistic(numbers)), np.array([statistic(sample) for sample in samples]))
 
 
 def _draws(groups: int, seed: int) -> NDArray[np.int64]:

@@ -30,7 +30,7 @@ translation in closed form given the rotation; the rotation by a majorisation th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -426,7 +426,8 @@ def search_cameras(data: Data, state: EmState, rotations: Array, dof: float | No
     rotation, scale, translation = (np.array(part) for part in vars(state.cameras).values())
     weight = state.posterior.weight.copy()
     best = bound(data, model, state.cameras, state.posterior, dof)
-    for start in _starts(data, state, rotations):
+    everywhere = (np.broadcast_to(rows, (len(data.points), 2, 3)) for rows in rotations)
+    for start in (_reversed(state), *everywhere):
         cameras, posterior = _fit(data, model, Cameras(start, state.cameras.inverse_scale, translation), dof)
         score = bound(data, model, cameras, posterior, dof)
         better = score > best
@@ -434,12 +435,6 @@ def search_cameras(data: Data, state: EmState, rotations: Array, dof: float | No
         translation[better], weight[better] = cameras.translation[better], posterior.weight[better]
         best = np.where(better, score, best)
     return start_state(data, model, Cameras(rotation, scale, translation), dof, weight)
-
-
-def _starts(data: Data, state: EmState, rotations: Array) -> Iterator[Array]:
-    yield _reversed(state)
-    for rows in rotations:
-        yield np.broadcast_to(rows, (len(data.points), 2, 3))
 
 
 def _fit(data: Data, model: ShapeModel, cameras: Cameras, dof: float | None) -> tuple[Cameras, Posterior]:

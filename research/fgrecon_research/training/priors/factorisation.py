@@ -57,11 +57,6 @@ class SymmetricSubspace:
         orbits += [Orbit(np.array([k]), _MEDIAL[None]) for k in range(size) if mirror[k] == k]
         return cls(tuple(orbits), mirror)
 
-    @property
-    def symmetric(self) -> bool:
-        """Whether symmetry is imposed."""
-        return self.mirror is not None
-
     def project(self, shapes: NDArray[np.float64]) -> NDArray[np.float64]:
         """The nearest shapes (..., K, 3) inside the subspace."""
         if self.mirror is None:
@@ -104,9 +99,7 @@ def affine_factorisation(
 
 def _whiten(shape: Array, subspace: SymmetricSubspace) -> Array:
     """An equivalent affine shape with mean zero and unit covariance where the subspace lets it."""
-    centred = shape - shape.mean(axis=0)
-    if subspace.symmetric:
-        centred = subspace.project(centred)
+    centred = subspace.project(shape - shape.mean(axis=0))
     covariance = centred.T @ centred / len(centred)
     values, vectors = np.linalg.eigh(covariance)
     inverse_root = (vectors / np.sqrt(np.maximum(values, 1e-6 * values[-1]))) @ vectors.T
@@ -136,7 +129,7 @@ def metric_upgrade(shape: Array, cameras: Array, subspace: SymmetricSubspace) ->
     Returns:
         The Euclidean shape (K, 3) and orthonormal camera rows (M, 2, 3), or None where no positive definite Q fits.
     """
-    entries = [(0, 0), (1, 1), (2, 2), (0, 1)] + ([] if subspace.symmetric else [(0, 2), (1, 2)])
+    entries = [(0, 0), (1, 1), (2, 2), (0, 1)] + ([(0, 2), (1, 2)] if subspace.mirror is None else [])
     size = np.sqrt(np.square(cameras).sum(axis=(1, 2)))
     a1, a2 = (cameras[:, row] / size[:, None] for row in (0, 1))
 
