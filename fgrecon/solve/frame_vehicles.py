@@ -81,8 +81,8 @@ class FrameVehicles:
         """Pose (4, 4) of each that was looked at."""
         return [update.frame.pose.matrix() for update in self.updates.values()]
 
-    def told_of(self, sensors: SensorFilter, time: float, evidence: Sequence[Evidence]) -> SensorFilter:
-        """What is known of sensors after the frame, see `SensorFilter.later`."""
+    def update_sensors(self, sensors: SensorFilter, time: float, evidence: Sequence[Evidence]) -> SensorFilter:
+        """The filter of the sensors after the frame, see `SensorFilter.later`."""
         return sensors.later(time, evidence, {name: (one.frame, one.shape) for name, one in self.updates.items()})
 
     def ground_evidence(self, known: Marginal, plane: Ground) -> GroundEvidence | None:

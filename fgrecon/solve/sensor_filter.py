@@ -1,4 +1,4 @@
-"""What a sensor has wrong all the time: the shared error of its depth maps, such as a stereo rig's disparity offset.
+"""Constant error of a sensor over time: the shared error of its depth maps, such as a stereo rig's disparity offset.
 
     prior --- b(sensor) --- vehicle, by its size
                   +-------- vehicle, by its size
@@ -31,8 +31,8 @@ from fgrecon.solve.time.frame import Frame
 
 
 @dataclass(frozen=True)
-class VehicleSays:
-    """What a vehicle says of a sensor's shared error: inverse metres, and when, seconds."""
+class ErrorEstimate:
+    """A sensor's shared error by one vehicle, inverse metres, and the time of it, seconds."""
 
     mean: float
     variance: float
@@ -45,13 +45,13 @@ class SharedError:
 
     mean: float  # before any vehicle
     sigma: float  # standard deviation before any vehicle
-    by: Mapping[int, VehicleSays] = field(default_factory=dict)  # by their ids, the last one last
+    vehicles: Mapping[int, ErrorEstimate] = field(default_factory=dict)  # by their ids, the last one last
 
     def at(self, time: float) -> tuple[float, float]:
         """Mean and standard deviation at a time: the minimum of the graph, its vehicles' factors robust."""
-        says = self.by.values()
-        means, variances = (np.array([getattr(one, name) for one in says]) for name in ("mean", "variance"))
-        drift = np.abs([one.time - time for one in says]) / SENSOR_FILTER.drift_s
+        estimates = self.vehicles.values()
+        means, variances = (np.array([getattr(one, name) for one in estimates]) for name in ("mean", "variance"))
+        drift = np.abs([one.time - time for one in estimates]) / SENSOR_FILTER.drift_s
         variances = variances + self.sigma**2 * np.asarray(drift)
         found, variance = self.mean, self.sigma**2
         for _ in range(SENSOR_FILTER.reweighings):
@@ -62,12 +62,12 @@ class SharedError:
         least = SENSOR_FILTER.least_share * self.sigma
         return found, min(float(np.hypot(np.sqrt(variance), least)), self.sigma)
 
-    def told(self, vehicle: int, says: VehicleSays) -> SharedError:
-        """The same with what one more vehicle says, or one of these once more, where that is surer."""
-        before = self.by.get(vehicle)
-        kept = says if before is None or says.variance < before.variance else before
-        by = [(name, one) for name, one in self.by.items() if name != vehicle]
-        return replace(self, by=dict([*by, (vehicle, kept)][-SENSOR_FILTER.most_vehicles :]))
+    def updated(self, vehicle: int, estimate: ErrorEstimate) -> SharedError:
+        """The same with the estimate by one more vehicle, or by one of these once more, where that is surer."""
+        before = self.vehicles.get(vehicle)
+        kept = estimate if before is None or estimate.variance < before.variance else before
+        others = [(name, one) for name, one in self.vehicles.items() if name != vehicle]
+        return replace(self, vehicles=dict([*others, (vehicle, kept)][-SENSOR_FILTER.most_vehicles :]))
 
 
 @dataclass(frozen=True)
@@ -112,9 +112,9 @@ class SensorFilter:
             return self
         known = {name: SharedError(one.shared_mean, one.shared_sigma) for name, one in maps.items()} | dict(self.known)
         for vehicle, (frame, shape) in vehicles.items():
-            for name, (mean, variance) in _told(frame, shape).items():
+            for name, (mean, variance) in _estimates(frame, shape).items():
                 if name in known:
-                    known[name] = known[name].told(vehicle, VehicleSays(mean, variance, time))
+                    known[name] = known[name].updated(vehicle, ErrorEstimate(mean, variance, time))
         return SensorFilter(known)
 
 
@@ -125,8 +125,8 @@ def _sensor(one: Evidence) -> str:
     return one.sensor
 
 
-def _told(frame: Frame, shape: ShapeValues) -> dict[str, tuple[float, float]]:
-    """What a vehicle's frame says of its sensors' shared errors: mean and variance, by name.
+def _estimates(frame: Frame, shape: ShapeValues) -> dict[str, tuple[float, float]]:
+    """Shared errors of a frame's sensors by one vehicle: mean and variance, by name.
 
     It is what its graph, without a ground, has of each beyond what was known before.
     """

@@ -220,7 +220,7 @@ class Tracker:
             road, known, vehicles = road.later(frame, look)
             ground = ground if known is None else known.ground
         refused |= vehicles.refused
-        sensors = vehicles.told_of(self._sensors, frame.time, evidence)
+        sensors = vehicles.update_sensors(self._sensors, frame.time, evidence)
         grounded = None if "ground" in self._setup.options.disabled_terms else known
         tracks: dict[int, VehicleTrack] = {}
         for name, update in vehicles.updates.items():

@@ -1,4 +1,4 @@
-"""What a sensor has wrong all the time, over frames: simulated offsets, and the graph's minimum by a grid."""
+"""Constant errors of sensors over time: simulated offsets, and the graph's minimum by a grid."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import pytest
 
 from fgrecon import DepthMap, Observation, Points, Tracker
 from fgrecon.errors import InvalidInputError
-from fgrecon.solve.sensor_filter import SensorFilter, SharedError, VehicleSays
+from fgrecon.solve.sensor_filter import ErrorEstimate, SensorFilter, SharedError
 from fgrecon.solve.solve_settings import SENSOR_FILTER
 from tests.solve.test_depth import CAMERA, OPTIONS, PLACES, street_of
 
 MAP = DepthMap(np.full((4, 5), 9.0), relative_sigma=0.01, shared_sigma=0.005, sensor="rig")
 
 
-def told(means: np.ndarray, sigma: float, time: float = 0.0, first: int = 0) -> dict[int, VehicleSays]:
-    return {first + i: VehicleSays(float(mean), sigma**2, time) for i, mean in enumerate(means)}
+def estimates(means: np.ndarray, sigma: float, time: float = 0.0, first: int = 0) -> dict[int, ErrorEstimate]:
+    return {first + i: ErrorEstimate(float(mean), sigma**2, time) for i, mean in enumerate(means)}
 
 
 def test_the_belief_is_the_minimum_of_prior_and_robust_vehicles() -> None:
     means = np.array([0.003, 0.0045, 0.004, 0.0035, 0.03])  # the last one is no car
-    known = SharedError(0.0, 0.005, told(means, 0.002))
+    known = SharedError(0.0, 0.005, estimates(means, 0.002))
     grid = np.linspace(-0.01, 0.01, 200_001)
     k = SENSOR_FILTER.loss_sigmas
     off = ((means[:, None] - grid) / 0.002) ** 2
@@ -38,7 +38,7 @@ def test_it_comes_to_the_offset_and_is_as_sure_as_right(offset: float) -> None:
         normalised = []
         for _ in range(100):
             means = offset + 0.006 * rng.normal(size=count) + 0.05 * (rng.random(count) < 0.1)
-            mean, sigma = SharedError(0.0, 0.005, told(means, 0.006)).at(0.0)
+            mean, sigma = SharedError(0.0, 0.005, estimates(means, 0.006)).at(0.0)
             normalised.append((mean - offset) / sigma)
         found.append((sigma, np.sqrt(np.square(normalised).mean())))
     sigmas, errors = zip(*found, strict=True)
@@ -47,17 +47,17 @@ def test_it_comes_to_the_offset_and_is_as_sure_as_right(offset: float) -> None:
 
 
 def test_a_vehicle_speaks_once() -> None:
-    once = SharedError(0.0, 0.005, told(np.array([0.004]), 0.003))
+    once = SharedError(0.0, 0.005, estimates(np.array([0.004]), 0.003))
     often = once
     for time in (0.1, 0.2):
-        often = often.told(0, VehicleSays(0.0041, 0.0031**2, time))
+        often = often.updated(0, ErrorEstimate(0.0041, 0.0031**2, time))
     assert often.at(0.0) == once.at(0.0)
-    surer = often.told(0, VehicleSays(0.002, 0.001**2, 0.3))
-    assert surer.at(0.3) == SharedError(0.0, 0.005, told(np.array([0.002]), 0.001, 0.3)).at(0.3)
+    surer = often.updated(0, ErrorEstimate(0.002, 0.001**2, 0.3))
+    assert surer.at(0.3) == SharedError(0.0, 0.005, estimates(np.array([0.002]), 0.001, 0.3)).at(0.3)
 
 
 def test_it_drifts_and_a_sensor_that_was_moved_is_learnt_anew() -> None:
-    before = SharedError(0.0, 0.005, told(np.full(60, 0.004), 0.004))
+    before = SharedError(0.0, 0.005, estimates(np.full(60, 0.004), 0.004))
     mean, sigma = before.at(0.0)
     later = [before.at(time) for time in (60.0, 600.0, 60_000.0)]
     assert mean == pytest.approx(0.004, rel=0.1)
@@ -66,13 +66,13 @@ def test_it_drifts_and_a_sensor_that_was_moved_is_learnt_anew() -> None:
     assert later[2][0] < 0.5 * mean
     moved = before
     for i in range(SENSOR_FILTER.most_vehicles):
-        moved = moved.told(100 + i, VehicleSays(-0.004, 0.004**2, 10.0))
-    assert len(moved.by) == SENSOR_FILTER.most_vehicles
+        moved = moved.updated(100 + i, ErrorEstimate(-0.004, 0.004**2, 10.0))
+    assert len(moved.vehicles) == SENSOR_FILTER.most_vehicles
     assert moved.at(10.0)[0] == pytest.approx(-mean, rel=0.1)
 
 
 def test_sensors_are_known_apart() -> None:
-    known = SensorFilter({"rig": SharedError(0.0, 0.005, told(np.full(9, 0.004), 0.002))})
+    known = SensorFilter({"rig": SharedError(0.0, 0.005, estimates(np.full(9, 0.004), 0.002))})
     scan = Points(np.ones((3, 3)))
     others = [replace(MAP, sensor="other"), replace(MAP, sensor=""), replace(MAP, shared_sigma=0.0), scan]
     learnt, *rest = known.applied([MAP, *others], 0.0)
@@ -111,7 +111,7 @@ def follow(streets: list[tuple[list[Observation], np.ndarray]], sensor: str) -> 
 def test_a_tracker_learns_the_offset_of_a_rig(streets: list[tuple[list[Observation], np.ndarray]]) -> None:
     tracker, off = follow(streets, "rig")
     (known,) = tracker._sensors.known.values()
-    assert len(known.by) == 3 * STREETS
+    assert len(known.vehicles) == 3 * STREETS
     mean, sigma = known.at(0.5 * STREETS)
     assert sigma < 0.8 * 0.005
     assert abs(mean - 0.005) < 2.0 * sigma
