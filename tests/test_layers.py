@@ -107,7 +107,7 @@ ROOMS = {
         *("research", "research/evaluation", "research/training/priors", "research/training/keypoints"),
         "research/io",
     },
-    "research/viz": {"core", "io", "viz"},
+    "research/viz": {"core", "io", "viz", "research/evaluation", "research/paper"},
     "research/cli/evaluate": {
         *("core", "io", "io/datasets", "io/export", "perception/keypoints", "simulation", "viz", "calibration", "cli"),
         *("research/evaluation", "research/viz"),
@@ -132,7 +132,7 @@ ROOMS = {
     },
     "research/cli/paper": {
         *("core", "io", "viz", "cli", "research/evaluation", "research/training/priors"),
-        *("research", "research/paper", "research/cli/evaluate"),
+        *("research", "research/paper", "research/viz", "research/cli/evaluate"),
     },
     "research/cli": {"cli"},
 }

@@ -47,13 +47,9 @@ class TextTable:
 
     def filled(self) -> TextTable:
         """The same without columns of numbers that hold dashes alone."""
-        some = [
-            number
-            for number in range(len(self.headings))
-            if number < self.texts or any(row[number] != "-" for row in self.rows)
-        ]
-        rows = [[row[number] for number in some] for row in self.rows]
-        return TextTable([self.headings[number] for number in some], rows, self.texts, self.title)
+        some = [n for n in range(len(self.headings)) if n < self.texts or any(row[n] != "-" for row in self.rows)]
+        rows = [[row[n] for n in some] for row in self.rows]
+        return TextTable([self.headings[n] for n in some], rows, self.texts, self.title)
 
 
 def number_or_dash(value: float | None, digits: str) -> str:

@@ -5,7 +5,7 @@ Boxes of one track show one vehicle and go wrong together, so the intervals draw
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -147,19 +147,16 @@ def group_boxes(boxes: Sequence[VideoBox]) -> dict[str, dict[str, list[VideoBox]
 
     `cars_easy` are cars that are fully visible and at least 40 px high, `cars_moderate` those occluded partly at most.
     """
-    pointed = [one for one in boxes if one.points is not None]
+    pointed, cars = [one for one in boxes if one.points is not None], [b for b in boxes if b.kind == "Car"]
     groups: dict[str, dict[str, list[VideoBox]]] = {
         "drive": {name: [b for b in boxes if b.drive == name] for name in dict.fromkeys(b.drive for b in boxes)},
-        "regime": _pick(
-            boxes,
-            {
-                "cars_easy": lambda b: b.kind == "Car" and b.occlusion <= 0 and b.height >= 40.0,
-                "cars_moderate": lambda b: b.kind == "Car" and b.occlusion <= 1,
-                "cars": lambda b: b.kind == "Car",
-                "vans": lambda b: b.kind == "Van",
-            },
-        )
-        | {"all": list(boxes)},
+        "regime": {
+            "cars_easy": [b for b in cars if b.occlusion <= 0 and b.height >= 40.0],
+            "cars_moderate": [b for b in cars if b.occlusion <= 1],
+            "cars": cars,
+            "vans": [b for b in boxes if b.kind == "Van"],
+            "all": list(boxes),
+        },
         "view": {view.value: [b for b in boxes if b.view is view] for view in View},
         "height": bands(boxes, _SIZES, lambda b: b.height, "px", _ON),
         "occlusion": {name: [b for b in boxes if b.occlusion == level] for level, name in _OCCLUSIONS.items()}
@@ -169,10 +166,6 @@ def group_boxes(boxes: Sequence[VideoBox]) -> dict[str, dict[str, list[VideoBox]
     }
     filled = {by: {name: some for name, some in named.items() if some} for by, named in groups.items()}
     return {by: named for by, named in filled.items() if named}
-
-
-def _pick(boxes: Sequence[VideoBox], rules: Mapping[str, Callable[[VideoBox], bool]]) -> dict[str, list[VideoBox]]:
-    return {name: [box for box in boxes if rule(box)] for name, rule in rules.items()}
 
 
 def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> PoseSummary:
@@ -283,12 +276,9 @@ def facing_reliability(boxes: Sequence[VideoBox]) -> Reliability:
 
 def worst_boxes(boxes: Sequence[VideoBox], count: int) -> list[VideoBox]:
     """The worst box with a pose of each of the tracks that are worst by it: by yaw error, then by position error."""
-
-    def badness(box: VideoBox) -> tuple[float, float]:
-        return box.outcomes[SYSTEM].degrees, box.outcomes[SYSTEM].metres
-
+    posed = [(b, b.outcomes[SYSTEM]) for b in boxes if b.outcomes[SYSTEM].failure is None]
     tracks: dict[tuple[str, int], VideoBox] = {}
-    for box in sorted((b for b in boxes if b.outcomes[SYSTEM].failure is None), key=badness, reverse=True):
+    for box, _ in sorted(posed, key=lambda one: (one[1].degrees, one[1].metres), reverse=True):
         tracks.setdefault((box.drive, box.track), box)
     return list(tracks.values())[:count]
 

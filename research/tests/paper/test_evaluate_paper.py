@@ -82,6 +82,7 @@ def test_a_small_run_is_whole_goes_on_and_does_not_depend_on_processes(few, tmp_
     assert result.exit_code == 0, result.output
     document = json.loads((out / "evaluation.json").read_text())
     text = (out / "evaluation.md").read_text()
+    assert "<svg" in (out / "plots.svg").read_text()
 
     rows = {key: table["rows"] for key, table in document["tables"].items()}
     printed = {"table_1": "Pose", "table_2": "Shape", "table_2_real": "Shape", "table_3": "Pose"}

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_files import Objects
+from fgrecon.viz import save_picture
 from fgrecon_research.evaluation import report
 from fgrecon_research.evaluation.bootstrap import Interval
 from fgrecon_research.paper.claims import Claim, claims, decoupling_claim, irls_claim, ranking_claim
@@ -29,6 +30,7 @@ from fgrecon_research.paper.tables import (
     simulated_parts,
     stage_table,
 )
+from fgrecon_research.viz.paper_picture import paper_picture
 
 
 def made_up(rows, count=40, errors=None):
@@ -215,6 +217,22 @@ def test_markdown_has_every_table_and_claim(page):
     lines = [line for line in text.splitlines() if line.startswith("| fgrecon, pose stage")]
     assert lines[0].count("|") == 11
     assert "| fgrecon, pose stage | 2.00 | 2.00 |" in text
+
+
+def test_the_picture_has_the_tables_numbers_and_their_intervals(tables, tmp_path):
+    drawn = [table for table in tables if table.key in ("table_1", "per_part", "per_part_real")]
+    figure = paper_picture(tables)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == [table.title for table in drawn]
+    for axes, table in zip(figure.axes, drawn, strict=True):
+        columns = [i for i, name in enumerate(table.columns) if table.key != "table_1" or name.endswith(" ≤5°")]
+        cells = [row[i] for i in columns for _, row in table.rows]
+        values = [np.nan if cell is None else getattr(cell, "value", cell) for cell in cells]
+        np.testing.assert_array_equal([bar.get_height() for bar in axes.patches], values)
+        tops = [ends[1, 1] for line in axes.collections for ends in line.get_segments() if len(ends)]
+        highs = np.array([getattr(cell, "high", cell) for cell in cells], dtype=float)
+        np.testing.assert_allclose(tops, highs[np.isfinite(highs)])
+    first, second = (save_picture(tmp_path / n, paper_picture(tables)).read_bytes() for n in ("a.svg", "b.svg"))
+    assert first == second
 
 
 def test_the_document_is_json_with_machine_and_versions(page):

@@ -10,11 +10,13 @@ import typer
 
 from fgrecon.cli.options import LabelledScene
 from fgrecon.cli.terminal import Terminal
+from fgrecon.viz import save_picture
 from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
 from fgrecon_research.evaluation import report
 from fgrecon_research.paper.documents import document, markdown
 from fgrecon_research.paper.run import evaluate_paper
 from fgrecon_research.paper.simulated_run import PaperSettings
+from fgrecon_research.viz.paper_picture import paper_picture
 
 
 def paper_command(
@@ -37,7 +39,7 @@ def paper_command(
 ) -> None:
     """Make every table of the paper: real tracks, real images, simulated validation set, cars of known shape.
 
-    Writes evaluation.md, evaluation.json and KITTI result files. A run that was interrupted goes
+    Writes evaluation.md, evaluation.json, plots.svg and KITTI result files. A run that was interrupted goes
     on where it stopped. Stored parts know the data and settings that they were made from, but not unreleased changes
     of the code: use --fresh after those. Nothing is recorded for the viewer, these are thousands of cars: see
     `fgrecon evaluate tracks --save`. --verbose names every defect of the files and every failure.
@@ -53,4 +55,5 @@ def paper_command(
     screen.detail(*found.defects, *found.failures)
     screen.write_text(out / "evaluation.md", markdown(found))
     screen.write_text(out / "evaluation.json", report.to_json(document(found, parameters)))
+    screen.wrote(save_picture(out / "plots.svg", paper_picture(found.tables)))
     screen.wrote(out / "kitti_results")

@@ -276,7 +276,9 @@ def show(screen: Screen, done: Sequence[Labelled], labels: VehicleLabels) -> Non
     headings = "drive", "vehicles", "images", "labels", "visible", "hidden", "outside", "left out", "s a label"
     table = headed_table(*headings)
     rows = [_counts(one, labels) for one in done]
-    for row in (*rows, *([_total(rows)] if len(rows) > 1 else [])):
+    if len(rows) > 1:
+        rows.append({"drive": "all"} | {name: sum(row[name] for row in rows) for name in rows[0] if name != "drive"})
+    for row in rows:
         each = row["seconds"] / row["labels"] if row["labels"] else np.nan
         table.add_row(*(str(value) for name, value in row.items() if name != "seconds"), f"{each:.2f}")
     screen.print(table)
@@ -330,10 +332,6 @@ def _counts(one: Labelled, labels: VehicleLabels) -> dict[str, Any]:
         "left_out": len(one.left),
         "seconds": round(one.seconds, 3),
     }
-
-
-def _total(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    return {"drive": "all"} | {name: sum(row[name] for row in rows) for name in rows[0] if name != "drive"}
 
 
 def _reasons(left: Sequence[LeftOut]) -> dict[str, int]:
