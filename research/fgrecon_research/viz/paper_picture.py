@@ -40,4 +40,4 @@ def _bars(axes: Any, table: Table, columns: Sequence[int]) -> None:
     axes.set_title(table.title, fontsize=9, loc="left", color=unit(style.INK))
     axes.set_xticks(range(len(rows)), labels, rotation=20, ha="right", fontsize=7)
     axes.set(ylim=(0, 104), ylabel="%")
-    axes.legend(fontsize=7, ncols=len(columns), loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    axes.legend(fontsize=7, ncols=len(columns), loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False)
