@@ -17,6 +17,7 @@ from fgrecon.core.settings import one_of
 
 _FARTHEST, _NEAREST = 300.0, 0.5  # metres: the median depth of no image with vehicles is larger or smaller
 _LARGEST_RELATIVE = 1.0
+_LEAST_SIGMA = 1e-9  # of shares and shared errors that are not none: squares of much less are 0 in doubles
 _LEAST_MEASURED = 20  # pixels of which the median tells the unit
 _MIDDLE = 0.25  # of a 2D box's sides, from its middle: pixels that are surely the vehicle's, or of what hides it
 _ALIKE, _LEAST_ALIKE = 2.0, 0.05  # times as far or near, within which a pixel may be the vehicle's; share that is so
@@ -111,10 +112,12 @@ class DepthMap:
         set_(self, "sigma", float(sigma) if sigma.ndim == 0 else own(sigma))
         for name, largest in (("relative_sigma", _LARGEST_RELATIVE), ("shared_sigma", 1.0)):
             value = float(as_finite(f"depth.{name}", getattr(self, name), ()))
-            if not 0.0 <= value <= largest:
-                raise InvalidInputError(f"depth.{name}", value, f"Give a number from 0 to {largest:g}.")
+            if value != 0.0 and not _LEAST_SIGMA <= value <= largest:
+                raise InvalidInputError(f"depth.{name}", value, f"Give 0, or {_LEAST_SIGMA:g} to {largest:g}.")
             set_(self, name, value)
         set_(self, "shared_mean", float(as_finite("depth.shared_mean", self.shared_mean, ())))
+        if not isinstance(self.sensor, str):
+            raise InvalidInputError("depth.sensor", self.sensor, "Give a name, or an empty text.")
         if not np.any(self.sigma) and self.relative_sigma == 0.0:
             raise InvalidInputError("depth.sigma", 0.0, "Give a standard deviation, or a relative one.")
         if self.scale is DepthScale.METRIC and self.calibration is None:

@@ -46,6 +46,8 @@ def test_metres_and_their_deviations() -> None:
         ({"relative_sigma": 0.0}, "depth.sigma"),
         ({"relative_sigma": 2.0}, "depth.relative_sigma"),
         ({"shared_sigma": -0.1}, "depth.shared_sigma"),
+        ({"shared_sigma": 1e-200}, "depth.shared_sigma"),
+        ({"sensor": ["a"]}, "depth.sensor"),
         ({"scale": "metre"}, "depth.scale"),
     ],
 )
