@@ -188,6 +188,15 @@ def test_kitti_without_images_is_refused(street, weights):
         assert done.exception.field == field
 
 
+def test_kitti_takes_the_frames_of_a_split(street, weights):
+    (split := street / "val.txt").write_text("000001\n000009\n")
+    done = kitti(street, weights, "--split", split, "--verbose", "--json", street / "r.json")
+    assert [car["frame"] for car in json.loads((street / "r.json").read_text())["cars"]] == ["000001"]
+    assert "000009: no image" in " ".join(done.output.split())
+    split.write_text("000009\n")
+    assert kitti(street, weights, "--split", split).exception.field == "images"
+
+
 def test_kitti_without_data_says_how_to_give_them(street, monkeypatch):
     monkeypatch.setenv("FGRECON_DATA", str(street / "none"))
     for more in ((), ("--images", street / "image_2")):

@@ -34,7 +34,7 @@ from fgrecon_research.evaluation.boxes_summary import (
 )
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, counted_cars
 from fgrecon_research.evaluation.measures import THRESHOLDS, instances_within
-from fgrecon_research.io.kitti_sets import Fault, read_detections, read_labels
+from fgrecon_research.io.kitti_sets import Defect, Fault, read_detections, read_labels
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,12 @@ class Car:
 
 
 def read_frames(
-    images: Path, labels: Path, calib: Path, detections: Path | None = None
+    images: Path, labels: Path, calib: Path, names: Sequence[str] | None = None, detections: Path | None = None
 ) -> tuple[list[ImageFrame], list[Fault]]:
     """The frames that have an image.
 
     Args:
+        names: Frames to take; None takes all images.
         detections: File of 2D detections, or None for the labelled boxes.
 
     Returns:
@@ -84,9 +85,12 @@ def read_frames(
     if not images.is_dir():
         raise InvalidInputError("images", str(images), "Give a folder of images named by frame.")
     files = {path.stem: path for path in sorted(images.iterdir()) if path.suffix.lower() in (".png", ".jpg", ".jpeg")}
+    absent = [name for name in names or () if name not in files]
+    files = {name: path for name, path in files.items() if names is None or name in names}
     if not files:
-        raise InvalidInputError("images", str(images), "Give a folder with images.")
+        raise InvalidInputError("images", str(images), "Give a folder with images of these frames.")
     objects, problems = read_labels(labels, list(files))
+    problems += [Fault(Defect.MISSING_FRAME, name, "no image") for name in absent]
     missing = [name for name in files if name not in objects]
     if missing:
         raise InvalidInputError("labels", f"no label of {missing[0]}", "Give the folder with a label file per frame.")

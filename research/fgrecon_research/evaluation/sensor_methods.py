@@ -47,15 +47,6 @@ _SCALES, _SHIFTS = (0.3, 3.0), (-3.0, 3.0)  # of maps in other units: metres for
 _LIDAR_SIGMA = 0.05  # metres, of a pixel of a scan
 
 
-def score_sensed(solved: ReconstructedFrame, sensors: Collection[Sensor]) -> list[Mapping[str, BoxOutcome]]:
-    """The outcomes of each labelled box of a frame with what each sensor adds, by the methods' names."""
-    scored: list[dict[str, BoxOutcome]] = [{} for _ in solved.vehicles]
-    for name, evidence in _evidence(solved, sensors).items():
-        for one, outcomes in zip(_solved(solved, evidence), scored, strict=True):
-            outcomes[name] = one
-    return list(scored)
-
-
 def _evidence(solved: ReconstructedFrame, sensors: Collection[Sensor]) -> dict[str, Evidence]:
     """What each method gets."""
     found: dict[str, Evidence] = {}
@@ -125,7 +116,8 @@ class OtherMethods:
 
     def __call__(self, solved: ReconstructedFrame) -> list[Mapping[str, BoxOutcome]]:
         """The outcomes of each box by the methods' names."""
-        scored = [self._rivals(solved), score_sensed(solved, self._sensors)]
+        sensed = {name: _solved(solved, evidence) for name, evidence in _evidence(solved, self._sensors).items()}
+        scored = [self._rivals(solved), [{n: s[i] for n, s in sensed.items()} for i in range(len(solved.vehicles))]]
         if Sensor.LIDAR in self._sensors:
             scored.append(score_baselines(solved, lidar_points(solved.frame)))
         if Sensor.RIGHT in self._sensors:

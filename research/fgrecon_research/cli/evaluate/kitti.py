@@ -30,7 +30,7 @@ from fgrecon_research.evaluation import kitti_images
 from fgrecon_research.evaluation.boxes_summary import plain_boxes, tables
 from fgrecon_research.evaluation.kitti_images import Car, ImageBoxes, ImageFrame, score_boxes, summarise
 from fgrecon_research.evaluation.text_table import TextTable
-from fgrecon_research.io.kitti_sets import stated_model, write_results
+from fgrecon_research.io.kitti_sets import read_image_set, stated_model, write_results
 
 
 def _folder(what: str, name: str) -> Any:
@@ -46,6 +46,9 @@ class KittiFolders:
     images: Annotated[Path | None, _folder("Images", "image_2")] = None
     labels: Annotated[Path | None, _folder("Label files", "label_2")] = None
     calib: Annotated[Path | None, _folder("Calibration files", "calib")] = None
+    split: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File of frame names.", show_default="all images")
+    ] = None
 
     def paths(self) -> tuple[Path, Path, Path]:
         """Folders of images, labels and calibrations.
@@ -151,7 +154,8 @@ def kitti_command(
     screen = terminal.screen(outputs.json_out)
     paths, known = folders.paths(), labelled.given()
     setup = cars.setup(known)
-    frames, problems = kitti_images.read_frames(*paths, cars.boxes)
+    names = None if folders.split is None else read_image_set(folders.split)
+    frames, problems = kitti_images.read_frames(*paths, names, cars.boxes)
     outputs.check(frames, paths[1:])
     scored = [car for frame in screen.watch(frames, "Images") for car in kitti_images.score_frame(frame, setup)]
 
