@@ -180,16 +180,16 @@ class Tracker:
         used, plane = calibrated("camera", Camera.of(camera)), as_ground(ground)
         place = None if world_T_camera is None else gtsam.Pose3(as_camera_pose(world_T_camera))
         moved = None if motion_covariance is None else as_motion_covariance(motion_covariance)
-        given = evidence_of(evidence, used, of_all=True)
-        check_frames(given, used, plane, observations.values())
+        measured = evidence_of(evidence, used, of_all=True)
+        check_frames(measured, used, plane, observations.values())
         with self._one_call:
             cameras = self._cameras_at(time, used, place)
-            sensed = self._sensors.applied(given, time)
-            level, plane = plane, ground_by_points(sensed, plane, used, self._setup.options.disabled_terms)
+            sensed = self._sensors.applied(measured, time)
+            given, plane = plane, ground_by_points(sensed, plane, used, self._setup.options.disabled_terms)
             # Noise that grows with time must not vanish: frames of one time are a microsecond apart.
             clock = max(time, self._clock + GROUND_FILTER.shortest_s)
             drift = self._drift.moved(place, moved)
-            frame = CameraFrame(clock, used, plane, place, moved, drift, sensed=plane is not level)
+            frame = CameraFrame(clock, used, plane, place, moved, drift, sensed=plane is not given)
             found = self._update(frame, time, observations, sensed, estimated=made)
             if observations:  # others follow nothing, and may be any time apart
                 if time > self._time and (line := interval_warning([*self._latest, time])) is not None:

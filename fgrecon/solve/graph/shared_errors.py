@@ -38,19 +38,19 @@ class SharedErrors:
             free: Whether what they share are variables at all.
         """
         self.known: dict[int, ScaledDepth | UnsurePlace] = {}
-        self._share: dict[int, float] = {}
         self._keys: dict[tuple[int, Hashable], int] = {}
+        shares: dict[int, float] = {}
         for part in observations if free else ():
             for term in part.problem.energy.points:
                 if term.shared is None or (part.image, term.shared.key) in self._keys:
                     continue
                 key = D(part.image, sum(image == part.image for image, _ in self._keys))
                 self._keys[part.image, term.shared.key] = key
-                self.known[key], self._share[key] = term.shared, part.share
+                self.known[key], shares[key] = term.shared, part.share
         self.terms: dict[str, list[gtsam.NonlinearFactor]] = {}
         for key, one in self.known.items():
             # Images of a vehicle count by a share, and so does what each is taken to know.
-            covariance = one.covariance / self._share[key]
+            covariance = one.covariance / shares[key]
             prior = ZeroPrior(key, gtsam.noiseModel.Gaussian.Covariance(covariance))
             self.terms.setdefault(PLACE if isinstance(one, UnsurePlace) else DEPTH, []).append(prior)
 

@@ -176,18 +176,18 @@ class VehicleUpdate:
         frame, solved = _solved_alone(replace(self.frame, given=problem, flipped=None, start=start), start)
         return replace(self, frame=frame, shape=solved.shape, solved=solved)
 
-    def taken(self, ground: Ground | None, frame: Frame | None = None) -> VehicleFilter:
-        """The vehicle with this frame, on a ground that may have been found meanwhile.
+    def taken(self, ground: Ground | None, frame: Frame) -> VehicleFilter:
+        """The vehicle with this frame, on a ground and by sensors that may be known better by now.
 
         Args:
             ground: The ground, or None.
-            frame: This frame by what was found meanwhile of its sensors; None where that is nothing.
+            frame: This frame, itself where nothing was found of its sensors.
 
         Raises:
             FgreconError: It cannot be solved there.
         """
-        same = (frame is None or frame is self.frame) and self.frame.problem.ground is ground
-        update = self if same else self._changed(ground, frame or self.frame)
+        same = frame is self.frame and frame.problem.ground is ground
+        update = self if same else self._changed(ground, frame)
         frame = update.frame
         if update.vehicle is not None:
             return update.vehicle.extended(frame, self.path)
