@@ -16,9 +16,8 @@ from benchmarks.fuzz.stored_readers import STORED
 from fgrecon.io.boxes import boxes_in
 from fgrecon.io.cameras import read_camera
 from fgrecon.io.catalogue import load_category, load_prior
-from fgrecon.io.exif import exif_camera
 from fgrecon.io.export.results import read_results
-from fgrecon.io.images import decode_image
+from fgrecon.io.images import decode_image, exif_camera
 from fgrecon.io.keypoints import read_any_keypoints
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.models import read_models

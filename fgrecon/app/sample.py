@@ -12,7 +12,7 @@ from fgrecon.app.view import view_of
 from fgrecon.core.size_prior import size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import write_png
-from fgrecon.io.video import write_video
+from fgrecon.io.video_frames import write_video
 from fgrecon.simulation.sample import sample_drive, sample_street
 
 GIVEN = Requested(intrinsics="721.5,721.5,609.6,172.9", camera_height="1.65", size_prior="kitti")

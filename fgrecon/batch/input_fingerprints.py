@@ -16,8 +16,7 @@ from fgrecon.batch.inputs import InputFile
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.serialise import well_formed
 from fgrecon.core.text import whole_text
-from fgrecon.io.files import write_text
-from fgrecon.io.integrity import MADE_AGAIN, stored
+from fgrecon.io.files import MADE_AGAIN, stored, write_text
 from fgrecon.io.json_fields import read_json
 
 INPUTS = "_inputs.json"

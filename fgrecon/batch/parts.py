@@ -15,8 +15,7 @@ import pyarrow.parquet as pq
 
 from fgrecon.batch.schema import ERROR, FORMAT, REFUSED, result_schema
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.files import replacing, write_text
-from fgrecon.io.integrity import MADE_AGAIN, stored
+from fgrecon.io.files import MADE_AGAIN, replacing, stored, write_text
 from fgrecon.io.isolated import Isolated
 from fgrecon.io.json_fields import parse_json, read_json
 

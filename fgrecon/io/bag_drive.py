@@ -26,11 +26,9 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Points
 from fgrecon.core.geometry import AHEAD, UPRIGHT, transform
-from fgrecon.io.bag import NANO, Bag, split
-from fgrecon.io.bag_frames import BagFrames
-from fgrecon.io.bag_images import PICTURES
+from fgrecon.io.bag import NANO, Bag, open_any_bag, split
+from fgrecon.io.bag_images import PICTURES, BagFrames
 from fgrecon.io.bag_transforms import Transforms, frame_name, pose_of_message, series, stamp_of
-from fgrecon.io.foxglove_bag import open_any_bag
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.lens_fields import read_lens
 from fgrecon.io.poses import CameraPoses, read_pose

@@ -21,12 +21,11 @@ from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.box_csv import CsvBox, read_csv_boxes
 from fgrecon.io.catalogue import class_of_kind
 from fgrecon.io.files import read_text
-from fgrecon.io.frame_names import of_one_image
-from fgrecon.io.image_size import scale_between
 from fgrecon.io.json_fields import Fields, plain_id, read_json
 from fgrecon.io.kitti_files import DETECTION_CLASSES, LABEL_COLUMNS, parse_detection, parse_object
-from fgrecon.io.lens_fields import read_size
+from fgrecon.io.lens_fields import read_size, scale_between
 from fgrecon.io.nuscenes import NEAREST, cuboid_boxes, is_nuscenes, open_nuscenes
+from fgrecon.io.source_frames import of_one_image
 
 _YOLO_COLUMNS = 5
 LEAST_SCORE = 0.5

@@ -38,8 +38,7 @@ from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import SIZE_PRIORS, ClassOdds, ClassSizes, SizePrior, SizesLike, size_prior
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.arrays import read_arrays, write_arrays
-from fgrecon.io.files import write_text
-from fgrecon.io.integrity import check_hash
+from fgrecon.io.files import check_hash, write_text
 from fgrecon.io.json_fields import Fields, parse_json, read_fields, within
 
 PRIOR_FORMAT = "fgrecon.shape_prior/1"

@@ -4,7 +4,7 @@
 |---|---|---|
 | a video | its place, from 0 | the container's |
 | a bag's topic | its message, from 0 | the header's (`fgrecon.io.bag_drive`) |
-| images | by their names (`fgrecon.io.frame_names`) | by their names, else number / frames per second |
+| images | by their names (`fgrecon.io.source_frames`) | by their names, else number / frames per second |
 
 Numbers may be missing: time goes on there. Images are of one camera, and so of one size: that of the first that can be
 read.
@@ -20,10 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.bag_frames import BagFrames
-from fgrecon.io.frame_names import OrderedImages, distinct_names, frames_by_name, times_of
+from fgrecon.io.bag_images import BagFrames
 from fgrecon.io.images import IMAGES, read_image, refuse_unread
-from fgrecon.io.source_frames import Choice, SourceFrame, sized
+from fgrecon.io.source_frames import Choice, OrderedImages, SourceFrame, distinct_names, frames_by_name, sized, times_of
 from fgrecon.io.video_frames import VIDEOS, VideoFrames, open_video
 
 _LEFT_COLOUR = ("image_02", "image_2")

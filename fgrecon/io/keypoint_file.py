@@ -44,10 +44,9 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation, scaled_pixels
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import class_of_kind
-from fgrecon.io.image_size import scale_between
 from fgrecon.io.images import IMAGES, refuse_unread
 from fgrecon.io.json_fields import Fields, numbers, plain_id
-from fgrecon.io.lens_fields import check_unused, read_lens, read_size
+from fgrecon.io.lens_fields import check_unused, read_lens, read_size, scale_between
 from fgrecon.io.video_frames import VIDEOS
 
 _NO_TRACK = -1

@@ -1,7 +1,8 @@
 """The lens and the image's size beside a camera matrix, by the names that calibration files have for them.
 
 A field that looks like one of them and is none of these names is refused: a lens that is passed over without a word
-costs degrees and metres.
+costs degrees and metres. So do pixels of a picture that was made smaller: a size that a file states is held against
+that of the picture or of the camera's images.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.camera import CUT_OFF
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.lens import FISHEYE, MEI, OPENCV
 from fgrecon.io.json_fields import Fields, numbers
@@ -182,3 +184,50 @@ def as_number(value: Any) -> Any:
         except ValueError:
             return value
     return value
+
+
+Size = tuple[int, int]
+"""Width and height in pixels."""
+
+_ROUNDING = 1.0  # pixels by which the sides of a smaller picture are rounded
+_SAME = 1.0, 1.0
+
+
+def scale_between(stated: Size | None, actual: Size | None, field: str, *, scale: bool = False) -> tuple[float, float]:
+    """What pixels (u, v) of an image of the stated size are multiplied by to be pixels of the actual one.
+
+    Args:
+        stated: The size that the file of keypoints or boxes states, or None.
+        actual: The size of the picture, or of the camera's images; None where it is not known.
+        field: What an error names.
+        scale: Whether pixels may be scaled, where both have one shape.
+
+    Raises:
+        InvalidInputError: The sizes differ by more than rows and columns that were cut off, and scaling is not
+            requested, or the shapes differ; names both sizes.
+    """
+    if stated is None or actual is None or same_image_size(stated, actual):
+        return _SAME
+    ratios = actual[0] / stated[0], actual[1] / stated[1]
+    same_shape = _is_scaled(stated, actual)
+    if same_shape and scale:
+        return ratios
+    whose = f"The picture or the camera has {actual[0]} x {actual[1]} pixels"
+    fix = (
+        f"{whose}, which is the same shape: scale to it (--scale-to-image, scale_to_image=True), or give that size."
+        if same_shape
+        else f"{whose}: give keypoints and boxes in its pixels, or the camera of that image."
+    )
+    raise InvalidInputError(field, f"an image of {stated[0]} x {stated[1]} pixels", fix)
+
+
+def same_image_size(stated: Size, actual: Size) -> bool:
+    """Whether two sizes are of one image, of which some rows and columns may be cut off."""
+    return bool(np.abs(np.divide(stated, actual) - 1.0).max() <= CUT_OFF)
+
+
+def _is_scaled(one: Size, other: Size) -> bool:
+    """Whether one size is the other made smaller, its sides rounded."""
+    small, large = sorted((one, other))
+    ratios = np.divide(large, small)
+    return bool(np.abs(np.divide(large, ratios[::-1]) - small).min() <= _ROUNDING)

@@ -13,7 +13,7 @@ from fgrecon.core.options import BoxOptions, KeypointOptions, Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_prior, load_size_prior, shipped_priors
-from fgrecon.io.integrity import file_hash
+from fgrecon.io.files import file_hash
 
 
 @dataclass(frozen=True)

@@ -22,12 +22,10 @@ from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, calibration_beside, read_calibration
 from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes, sweep_of
 from fgrecon.io.poses import read_pose
-from fgrecon.io.sensors.clouds import CLOUDS, NoPointError
-from fgrecon.io.sensors.data_set_sweeps import DataSetSweeps
 from fgrecon.io.sensors.depth_files import DEPTHS, read_depth
 from fgrecon.io.sensors.mask_files import MASKS, read_masks
-from fgrecon.io.sensors.points import Place, lidar_place, read_points
-from fgrecon.io.sensors.sensor_files import SensorFiles
+from fgrecon.io.sensors.points import CLOUDS, NoPointError, Place, lidar_place, read_points
+from fgrecon.io.sensors.sensor_files import DataSetSweeps, SensorFiles
 from fgrecon.perception.stereo import stereo_depth
 
 IMAGES = (".png", ".jpg", ".jpeg")

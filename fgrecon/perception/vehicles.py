@@ -19,7 +19,7 @@ from fgrecon.core.geometry import box_overlaps
 from fgrecon.core.repr import brief_repr
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import shipped_class_sizes
-from fgrecon.io.integrity import check_hash, listed
+from fgrecon.io.files import check_hash, listed
 from fgrecon.io.isolated import Isolated
 from fgrecon.perception.keypoints.decode import sigmoid
 from fgrecon.perception.keypoints.detect import as_rgb8

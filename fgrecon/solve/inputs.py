@@ -29,7 +29,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import ClassSizes, SizePrior, SizesLike, check_size, other_fleets
 from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import coarse_prior, load_prior, load_size_prior, shipped_class_sizes
-from fgrecon.io.image_size import scale_between
+from fgrecon.io.lens_fields import scale_between
 from fgrecon.solve.proposals.point_term import measured_by
 from fgrecon.solve.vehicle.model import VehicleModel, in_traffic, prepare, sized
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.io.frames import open_frames
     from fgrecon.io.poses import CameraPoses, read_poses
     from fgrecon.io.source_frames import SourceFrame
-    from fgrecon.io.video import write_video
+    from fgrecon.io.video_frames import write_video
     from fgrecon.video.association import Association, AssociationSettings, Candidate, GatedAssociation
     from fgrecon.video.camera_path import CameraPath
     from fgrecon.video.egomotion import CameraMotion, camera_motion

@@ -12,7 +12,7 @@
 
 An `image` is that of the frames whose name it has, where these are images whose names tell no numbers; else the last
 number of its name is its frame's. Where there are no frames but the file's, they are found by the names of the images
-as those of a folder are (`fgrecon.io.frame_names`).
+as those of a folder are (`fgrecon.io.source_frames`).
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around
 from fgrecon.io.boxes import ENDINGS, boxes_in
 from fgrecon.io.catalogue import class_of_kind
-from fgrecon.io.frame_names import frames_by_name, number_of
 from fgrecon.io.frames import FrameSource, ImageFrames
-from fgrecon.io.image_size import scale_between
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, parse_keypoints
 from fgrecon.io.kitti_files import read_tracking
+from fgrecon.io.lens_fields import scale_between
+from fgrecon.io.source_frames import frames_by_name, number_of
 from fgrecon.io.text_lines import filled_lines
 from fgrecon.io.track_file import parse_track
 from fgrecon.video.association import AssociationSettings

@@ -37,16 +37,14 @@ from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.datasets import is_data_set, open_video
 from fgrecon.io.export.formats import table_file
 from fgrecon.io.files import check_folder, text_file
-from fgrecon.io.frame_names import DEFAULT_RATE
 from fgrecon.io.frames import FrameSource, ImageFrames, NumberedFrames, numbered_frames, open_frames, timed_frames
 from fgrecon.io.images import read_photograph
 from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.kitti_drives import Drive
 from fgrecon.io.poses import CameraPoses, read_poses
 from fgrecon.io.run_settings import RunSettings, content_hash
-from fgrecon.io.source_frames import Choice, SourceFrame
-from fgrecon.io.video import check_video
-from fgrecon.io.video_frames import VideoFrames, packet_times
+from fgrecon.io.source_frames import DEFAULT_RATE, Choice, SourceFrame
+from fgrecon.io.video_frames import VideoFrames, check_video, packet_times
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.sessions import at_most, threads_of_networks
 from fgrecon.perception.sensor_source import SensorSource

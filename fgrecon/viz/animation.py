@@ -14,7 +14,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Iteration, Reconstruction
 from fgrecon.io.files import check_ending, write_bytes
-from fgrecon.io.video import check_video, write_video
+from fgrecon.io.video_frames import check_video, write_video
 from fgrecon.viz import style
 from fgrecon.viz.describe import describe_errors, total_energy
 from fgrecon.viz.geometry import BOX_EDGES, crop_around, image_points, outline_corners

@@ -17,7 +17,7 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.result_fields import Status
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.frames import FrameSource
-from fgrecon.io.video import write_video
+from fgrecon.io.video_frames import write_video
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.frame_store import FrameStore
 from fgrecon.video.rows import motion_of

@@ -18,7 +18,7 @@ from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.images import write_png
 from fgrecon.io.keypoints.any_keypoints import read_any_keypoints
-from fgrecon.io.video import write_video
+from fgrecon.io.video_frames import write_video
 from fgrecon.solve.pipeline import reconstruct
 from tests.batch.support import instances, write_lines
 from tests.cli.conftest import K

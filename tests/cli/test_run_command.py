@@ -19,7 +19,7 @@ from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.frames import open_frames
 from fgrecon.io.kitti_files import read_tracking
-from fgrecon.io.video import write_video
+from fgrecon.io.video_frames import write_video
 from tests.conftest import REPOSITORY
 from tests.video.streets import make_drive
 
@@ -373,7 +373,7 @@ def test_a_folder_of_a_batch_is_refused(drive, tmp_path):
 
 
 def test_a_codec_that_is_missing_is_reported_before_the_work(drive, tmp_path, monkeypatch):
-    monkeypatch.setattr("fgrecon.io.video._CODEC", "libnone")
+    monkeypatch.setattr("fgrecon.io.video_frames._CODEC", "libnone")
     done = run(drive[0], "--out", tmp_path / "out", "--video", tmp_path / "a.mp4")
     assert "codec libnone" in str(done.exception)
     assert not (tmp_path / "out").exists()

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
-from fgrecon.io.video import write_video
+from fgrecon.io.video_frames import write_video
 from tests.video.streets import make_drive
 
 INTRINSICS = ("--intrinsics", "721.5,721.5,609.6,172.9")

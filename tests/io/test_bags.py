@@ -337,7 +337,7 @@ def test_foxgloves_messages_are_found_by_their_schemas_alone(tmp_path):
     from google.protobuf import descriptor_pb2, timestamp_pb2
     from mcap.writer import Writer as McapWriter
 
-    from fgrecon.io.foxglove_bag import open_foxglove
+    from fgrecon.io.bag import open_foxglove
 
     file = descriptor_pb2.FileDescriptorProto(name="image.proto", package="foxglove", syntax="proto3")
     file.dependency.append("google/protobuf/timestamp.proto")

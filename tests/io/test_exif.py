@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fgrecon.io.exif import EXIF_SIGMA, exif_camera
-from fgrecon.io.images import read_image, read_photograph
+from fgrecon.io.images import EXIF_SIGMA, exif_camera, read_image, read_photograph
 
 ORIENTATION, DETAILS = 0x0112, 0x8769
 WIDTH, HEIGHT = 0xA002, 0xA003

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from fgrecon.cli import main
 from fgrecon.core.camera import Ground
 from fgrecon.io.export import ImageInfo, NamedResult, export, read_results
-from fgrecon.io.export.upright import map_T_camera
+from fgrecon.io.export.mcap import map_T_camera
 from fgrecon.simulation import yaw_pose
 from tests.results import changed
 from tests.viz.made_up import make_example

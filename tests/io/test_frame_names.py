@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from fgrecon.io.frame_names import distinct_names, frames_by_name, number_of, seconds_of
+from fgrecon.io.source_frames import distinct_names, frames_by_name, number_of, seconds_of
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.io.frames import numbered_frames, open_frames
 from fgrecon.io.images import write_png
-from fgrecon.io.video import check_video, write_video
+from fgrecon.io.video_frames import check_video, write_video
 
 
 def grey(level, height=48, width=64):
@@ -251,7 +251,7 @@ def test_pyav_is_asked_for_where_it_is_missing(video, tmp_path, monkeypatch):
 
 
 def test_a_codec_that_is_missing_is_reported_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.setattr("fgrecon.io.video._CODEC", "libnone")
+    monkeypatch.setattr("fgrecon.io.video_frames._CODEC", "libnone")
     with pytest.raises(InvalidInputError, match="without the codec libnone"):
         check_video(tmp_path / "a.mp4")
 

@@ -5,7 +5,7 @@ import hashlib
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.integrity import file_hash
+from fgrecon.io.files import file_hash
 
 
 def test_the_hash_is_of_the_content(tmp_path):

@@ -15,7 +15,7 @@ import pytest
 from fgrecon.core.errors import ChildNotBegunError, DamagedFileWarning, InvalidInputError
 from fgrecon.io.arrays import LARGEST, read_arrays
 from fgrecon.io.catalogue import load_prior, save_prior
-from fgrecon.io.integrity import check_hash, listed, stored
+from fgrecon.io.files import check_hash, listed, stored
 from fgrecon.io.isolated import Isolated
 from tests.conftest import REPOSITORY
 

@@ -10,8 +10,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.kitti_calibration import KittiCalibration
 from fgrecon.io.nuscenes import open_nuscenes, sweep_of
-from fgrecon.io.sensors.clouds import CLOUDS
-from fgrecon.io.sensors.points import lidar_place
+from fgrecon.io.sensors.points import CLOUDS, lidar_place
 from fgrecon.io.sensors.sensor_files import SensorFiles
 
 P2 = "700 0 600 0 0 700 180 0 0 0 1 0"

@@ -36,7 +36,7 @@ class CameraSource:
     # part of another image that the photograph is; the camera is given for the whole image
     crop: PartOfImage | None = None
     image: NDArray[np.uint8] | None = None  # (H, W, 3) photograph, whose size counts
-    # the camera that the photograph's file has (`fgrecon.io.exif`), where nothing else is given
+    # the camera that the photograph's file has (`fgrecon.io.images`), where nothing else is given
     exif: Camera | None = None
     # whether keypoints and boxes of a file that states another size of the image, of the same shape, are scaled
     # to the camera's or the photograph's

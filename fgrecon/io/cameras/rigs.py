@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.cameras.camera_file_names import named_camera
 from fgrecon.io.datasets import waymo
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.nuscenes import NuScenesTables, pose_of
@@ -139,3 +138,17 @@ def _camera(fields: Fields, matrix: Any, distortion: Any, size: tuple[int, int] 
         raise InvalidInputError(f"{fields.where}width, height", size, "Give pixels, from 1.")
     with within(fields.where):
         return Camera(matrix, distortion, size)
+
+
+def named_camera(cameras: Collection[str], name: str | None, where: str) -> str:
+    """The camera of a name; the only one where none is given.
+
+    Raises:
+        InvalidInputError: There is none of the name, or there are several and none is named; lists them.
+    """
+    if name in cameras:
+        return str(name)
+    if name is None and len(cameras) == 1:
+        return next(iter(cameras))
+    fix = f"Name one after the file, FILE#NAME: {', '.join(cameras) or 'there is none'}."
+    raise InvalidInputError(f"{where}camera", name or f"{len(cameras)} cameras", fix)

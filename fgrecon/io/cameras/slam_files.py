@@ -19,7 +19,7 @@ import numpy as np
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.lens import FISHEYE, MEI, OPENCV
-from fgrecon.io.cameras.camera_file_names import named_camera
+from fgrecon.io.cameras.rigs import named_camera
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.lens_fields import UNSOLVED, as_number
 

@@ -19,8 +19,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.lens import FISHEYE, OPENCV
-from fgrecon.io.cameras.camera_file_names import named_camera
-from fgrecon.io.cameras.rigs import MountedCamera
+from fgrecon.io.cameras.rigs import MountedCamera, named_camera
 from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.text_lines import filled_lines

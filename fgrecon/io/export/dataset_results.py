@@ -1,19 +1,20 @@
-"""Results as lines of KITTI and as JSON of COCO."""
+"""Results as lines of KITTI and as JSON of COCO; the camera's poses over a run as lines of TUM and of KITTI."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import wrap_angle
-from fgrecon.io.export.image_info import ImageInfo, by_image, image_box, info_of, score
+from fgrecon.io.export.image_info import EVERY, ImageInfo, by_image, image_box, info_of, quaternion, score
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.kitti_files import UNKNOWN, Objects, format_results
 
@@ -112,3 +113,44 @@ def _corners(item: NamedResult) -> dict[str, Any]:
     ahead = points[:, 2] >= MIN_DEPTH
     pixels = item.camera.distort(item.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0])))
     return {"corners": [uv if shown else None for uv, shown in zip(pixels.tolist(), ahead.tolist(), strict=True)]}
+
+
+_FIX = "Give a run whose camera moves (--poses, --estimate-motion, a data set), or `world_T_camera` in --images."
+
+
+def tum_text(images: Mapping[str, ImageInfo]) -> str:
+    """Lines `time tx ty tz qx qy qz qw` of world_T_camera in order of time, seconds; without a pose there is none.
+
+    Raises:
+        InvalidInputError: No image has a pose, or one with a pose has no time; names it.
+    """
+    lines = {}
+    for name, info, pose in _posed(images):
+        if info.timestamp is None:
+            raise InvalidInputError(f"images.{name}.timestamp", "nothing", "Give its time, or `--format kitti_poses`.")
+        numbers = [*pose[:3, 3].tolist(), *quaternion(pose[:3, :3])]
+        lines[info.timestamp] = " ".join(f"{value:.9f}" for value in (info.timestamp, *numbers))
+    return "".join(f"{line}\n" for _, line in sorted(lines.items()))
+
+
+def kitti_poses_text(images: Mapping[str, ImageInfo]) -> str:
+    """A line an image: the twelve numbers of the upper rows of world_T_camera.
+
+    Raises:
+        InvalidInputError: An image has no pose, which a line of KITTI cannot say; names it.
+    """
+    lines = [pose[:3].ravel() for _, _, pose in _posed(images, whole=True)]
+    return "".join(" ".join(f"{value:.12e}" for value in line) + "\n" for line in lines)
+
+
+def _posed(
+    images: Mapping[str, ImageInfo], *, whole: bool = False
+) -> Iterator[tuple[str, ImageInfo, NDArray[np.float64]]]:
+    """The images with a pose; with `whole` one without is refused."""
+    found = [(name, info, info.world_T_camera) for name, info in images.items() if name != EVERY]
+    missing = [name for name, _, pose in found if pose is None]
+    if not found or len(missing) == len(found) or (whole and missing):
+        raise InvalidInputError(f"images.{missing[0] if missing else EVERY}.world_T_camera", "nothing", _FIX)
+    for name, info, pose in found:
+        if pose is not None:
+            yield name, info, pose

@@ -8,11 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.export.annotation_files import cvat_text, label_studio_text, scalabel_text
-from fgrecon.io.export.camera_path import kitti_poses_text, tum_text
-from fgrecon.io.export.dataset_results import coco_results_text, kitti_text
+from fgrecon.io.export.annotation_files import (
+    cvat_text,
+    datumaro_text,
+    fiftyone_text,
+    label_studio_text,
+    labelme_text,
+    scalabel_text,
+    supervisely_text,
+)
+from fgrecon.io.export.dataset_results import coco_results_text, kitti_poses_text, kitti_text, tum_text
 from fgrecon.io.export.image_info import ImageInfo
-from fgrecon.io.export.label_files import datumaro_text, fiftyone_text, labelme_text, supervisely_text
 from fgrecon.io.export.mcap import detections_bytes, ros2_bytes, scene_bytes
 from fgrecon.io.export.mesh import glb_bytes, ply_bytes
 from fgrecon.io.export.openlabel import openlabel_text

@@ -1,15 +1,17 @@
 """Results as MCAP: Foxglove's `SceneUpdate` to look at, ROS 2's `vision_msgs/Detection3DArray` to work with.
 
 A message for each image, at its time, else ten images a second. Boxes have the axes x forward, y left, z up. Their
-frame is `world` where the camera's pose is known, else `camera` (x right, y down, z forward). Both are in `map`, which
-is upright (`fgrecon.io.export.upright`): topic `/tf`, before each image.
+frame is `world` where the camera's pose is known, else `camera` (x right, y down, z forward). Both are in `map` (topic
+`/tf`, before each image), which is upright: z up, x ahead, y to the left, as ROS' REP 103 and 105 have it. The world of
+a video's run is the frame of its first camera, whose y axis points down: a viewer that takes z for up shows it lying on
+its side. A world that is upright as it is (nuScenes') stays as it is.
 """
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +20,7 @@ import numpy as np
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
-from fgrecon.core.geometry import transform
+from fgrecon.core.geometry import UPRIGHT, transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.text import distinct, whole_text
 from fgrecon.core.vehicle_mesh import SURFACE
@@ -36,7 +38,6 @@ from fgrecon.io.export.image_info import (
 )
 from fgrecon.io.export.messages import FRAME_TRANSFORMS, SCENE_UPDATE, ros_definition
 from fgrecon.io.export.results import NamedResult
-from fgrecon.io.export.upright import CAMERA, MAP, WORLD, FrameTransform, transforms
 
 _PERIOD = 0.1  # seconds between images whose times are not known
 _MCAP_SECONDS = 2**64 // NANO  # its times are 64 bits of nanoseconds
@@ -357,3 +358,61 @@ _ROS_TOPICS: Mapping[str, tuple[str, Callable[[_Moment], dict[str, Any]]]] = {
     "foxglove_msgs/SceneUpdate": ("/fgrecon/scene", lambda moment: _scene(moment, "nanosec")),
 }
 """What is written of an image in ROS 2: topics and messages by their types."""
+
+
+MAP, WORLD, CAMERA = "map", "world", "camera"
+"""Names of the frames."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTransform:
+    """Where a frame is."""
+
+    child: str  # name of the frame; its parent is `map`
+    map_T_child: Array  # (4, 4) its pose
+
+
+def map_T_camera(ground: Ground | None) -> Array:
+    """(4, 4) pose of a camera in an upright frame whose origin lies on the ground below it.
+
+    Args:
+        ground: The ground in its frame; None for a level camera of unknown height, which is at the origin.
+    """
+    up = np.array([0.0, -1.0, 0.0]) if ground is None else -ground.normal
+    left = up[0] * up - [1.0, 0.0, 0.0]
+    left /= np.linalg.norm(left)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([np.cross(left, up), left, up])
+    pose[2, 3] = 0.0 if ground is None else ground.distance
+    return pose
+
+
+def transforms(moments: Iterable[tuple[Array | None, Ground | None]]) -> Iterator[list[FrameTransform]]:
+    """Where `world`, if there is one, and `camera` are at each of some moments.
+
+    Args:
+        moments: The pose `world_T_camera` (4, 4) and the ground in the camera's frame, as far as they are known, in
+            order of time. A camera whose pose is not known, while others are, is where it was last.
+    """
+    known = list(moments)
+    first = next(((pose, ground) for pose, ground in known if pose is not None), None)
+    world = None if first is None else _map_T_world(*first)
+    last: Array | None = None
+    for pose, ground in known:
+        if world is None or (pose is None and last is None):
+            here = map_T_camera(ground)
+        elif pose is None:
+            assert last is not None
+            here = last
+        else:
+            here = last = world @ pose
+        yield [*([] if world is None else [FrameTransform(WORLD, world)]), FrameTransform(CAMERA, here)]
+
+
+def _map_T_world(world_T_camera: Array, ground: Ground | None) -> Array:
+    """(4, 4) the world's pose, by a camera in it."""
+    upright = map_T_camera(ground)
+    up = world_T_camera[:3, :3] @ upright[2, :3]
+    if up[2] > UPRIGHT:
+        return np.eye(4)
+    return upright @ np.linalg.inv(world_T_camera)

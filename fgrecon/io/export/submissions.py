@@ -22,10 +22,10 @@ import numpy as np
 from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
+from fgrecon.io.export.annotation_files import one_image
 from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, image_box, info_of, quaternion, score, track_of
-from fgrecon.io.export.label_files import one_image
+from fgrecon.io.export.messages import objects_class
 from fgrecon.io.export.results import NamedResult
-from fgrecon.io.export.waymo_messages import objects_class
 
 _ON_VEHICLE = "sample_token", "sequence", "world_T_camera", "world_T_vehicle"
 _VEHICLE = 1  # Waymo's `TYPE_VEHICLE`

@@ -11,16 +11,22 @@ from typing import Any
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
-from fgrecon.io.frame_names import of_one_image
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, KeypointFile, parse_keypoints, refuse_other_file
 from fgrecon.io.keypoints.coco_records import annotation_records, is_annotations, is_result, result_records
-from fgrecon.io.keypoints.names import Names, NamesLike, naming_of, parse_names, scheme_keypoints, shipped_schemes
-from fgrecon.io.keypoints.network_records import network_instances, network_records
-from fgrecon.io.keypoints.network_results import is_network_result, object_records
+from fgrecon.io.keypoints.names import (
+    Names,
+    NamesLike,
+    naming_of,
+    parse_names,
+    scheme_keypoints,
+    shipped_schemes,
+    translated,
+)
+from fgrecon.io.keypoints.network_results import is_network_result, network_instances, network_records, object_records
 from fgrecon.io.keypoints.records import NOT_JSON, named_records
 from fgrecon.io.keypoints.tool_records import is_tool_file, tool_records
-from fgrecon.io.keypoints.translate import translated
+from fgrecon.io.source_frames import of_one_image
 
 _Records = Iterable[tuple[Mapping[str, Any] | InvalidInputError, str]]
 

@@ -18,7 +18,7 @@ from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import refuse_results
 from fgrecon.io.keypoints.coco_records import annotation_records, is_annotations
 from fgrecon.io.keypoints.names import naming_of, scheme_keypoints
-from fgrecon.io.keypoints.network_records import network_instances
+from fgrecon.io.keypoints.network_results import network_instances
 from fgrecon.io.keypoints.pascal3d import read_anchors
 from fgrecon.io.keypoints.tool_records import cvat_records, is_tool_file, tool_records
 from fgrecon.io.keypoints.yolo_pose import is_yolo_pose, yolo_pose_records

@@ -21,7 +21,7 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_path
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.io.arrays import read_arrays, read_limited, read_lone_array
-from fgrecon.io.sensors.clouds import SENSORS
+from fgrecon.io.sensors.points import SENSORS
 
 KITTI_PER_METRE = 256.0
 """What a metre is in KITTI's depth maps, PNG files of 16 bits."""

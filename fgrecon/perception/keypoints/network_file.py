@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.files import write_bytes
-from fgrecon.io.integrity import check_hash
+from fgrecon.io.files import check_hash, write_bytes
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 
 FORMAT = "fgrecon.keypoints/1"

@@ -17,7 +17,7 @@ from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.processes import processes_with
 from fgrecon.core.robust import StrategyName
 from fgrecon.io.catalogue import load_category
-from fgrecon.io.integrity import stored
+from fgrecon.io.files import stored
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.kitti_files import Objects
 from fgrecon.simulation.keypoint_noise import HOURGLASS

@@ -17,7 +17,7 @@ from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.robust import StrategyName
 from fgrecon.io.arrays import read_arrays, write_arrays
-from fgrecon.io.integrity import MADE_AGAIN
+from fgrecon.io.files import MADE_AGAIN
 from fgrecon.solve.vehicle.conditioning import of_fleet
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.evaluation.measures import keypoint_error

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io import integrity
+from fgrecon.io import files
 from fgrecon.io.files import write_text
 from fgrecon.io.json_fields import read_json
 from fgrecon_research.training.keypoints.labelling import Source
@@ -47,7 +47,7 @@ def file_hash(path: Path) -> str:
     Raises:
         InvalidInputError: It cannot be read.
     """
-    return integrity.file_hash(path)[:_DIGITS]
+    return files.file_hash(path)[:_DIGITS]
 
 
 def files_hash(paths: Sequence[Path]) -> str:
@@ -56,7 +56,7 @@ def files_hash(paths: Sequence[Path]) -> str:
     Raises:
         InvalidInputError: One cannot be read.
     """
-    return text_hash("".join(f"{path.name} {integrity.file_hash(path)}\n" for path in paths))
+    return text_hash("".join(f"{path.name} {files.file_hash(path)}\n" for path in paths))
 
 
 def text_hash(text: str) -> str:

@@ -19,9 +19,8 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.arrays import read_arrays
-from fgrecon.io.files import write_bytes
+from fgrecon.io.files import MADE_AGAIN, write_bytes
 from fgrecon.io.images import read_image
-from fgrecon.io.integrity import MADE_AGAIN
 from fgrecon_research.training.keypoints.deform import LabelledView
 from fgrecon_research.training.keypoints.distant import random_distant_view
 from fgrecon_research.training.keypoints.labels import SEEN, Labels, ShapeFit, project_labels, surface_of

@@ -15,7 +15,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.arrays import read_arrays, write_arrays
 from fgrecon.io.catalogue import load_category
-from fgrecon.io.integrity import MADE_AGAIN, stored
+from fgrecon.io.files import MADE_AGAIN, stored
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon_research.training.keypoints.dataset import LAST, Photographs, check_prepared, prepare_photographs
 from fgrecon_research.training.keypoints.labels import (

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.settings import check_settings, count, number
-from fgrecon.io.integrity import stored as taken_over
+from fgrecon.io.files import stored as taken_over
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.network_file import Stored, save_weights

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.integrity import stored
+from fgrecon.io.files import stored
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.network_file import Stored, save_weights

@@ -15,8 +15,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.arrays import read_arrays, write_arrays
 from fgrecon.io.coco_keypoints import read_coco_keypoints
+from fgrecon.io.files import MADE_AGAIN
 from fgrecon.io.images import read_image
-from fgrecon.io.integrity import MADE_AGAIN
 from fgrecon.perception.keypoints.crops import Crop, extract
 from fgrecon.perception.keypoints.layout import KINDS
 from fgrecon_research.training.keypoints.dataset import SIDE, Photographs

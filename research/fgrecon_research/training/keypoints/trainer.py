@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from torch import from_numpy
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.files import write_bytes
-from fgrecon.io.integrity import stored
+from fgrecon.io.files import stored, write_bytes
 from fgrecon.perception.keypoints.network_file import Stored, load_weights
 
 
