@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import (
     BOX_MODEL_HELP,
     CameraOptions,
@@ -33,35 +34,25 @@ _LISTED = 3
 class BatchOptions:
     """What the rows hold, and who works on them."""
 
-    box_model: Annotated[
-        BoxModel,
-        typer.Option(
-            help=BOX_MODEL_HELP, show_default="surface; as --boxes says; detected where the detector finds them"
-        ),
-    ] = BoxModel.SURFACE
+    box_model: BoxModel = option(
+        BOX_MODEL_HELP,
+        default=BoxModel.SURFACE,
+        show_default="surface; as --boxes says; detected where the detector finds them",
+    )
     names: NamesOption = None
-    boxes: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE|FOLDER",
-            help="Boxes of the images' cars: COCO, KITTI, CSV, a file for each image (YOLO); else the detector looks.",
-        ),
-    ] = None
+    boxes: Path | None = option(
+        "Boxes of the images' cars: COCO, KITTI, CSV, a file for each image (YOLO); else the detector looks.",
+        metavar="FILE|FOLDER",
+    )
     min_score: MinScoreOption = None
     classes: ClassesOption = None
-    table: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write all rows as one table (csv, parquet).")
-    ] = None
+    table: Path | None = option("Also write all rows as one table (csv, parquet).", metavar="FILE")
     weights: WeightsOption = None
     scale_to_image: ScaleOption = False
-    jobs: Annotated[int, typer.Option(min=1, help="Processes; with --ray actors at most.")] = 1
-    ray: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Work on a Ray cluster: its address, or auto.")] = (
-        None
-    )
-    every: Annotated[int, typer.Option(min=1, help="Of videos every so many frames.")] = 1
-    batch_rows: Annotated[
-        int | None, typer.Option(min=1, help="Rows that a worker gets at once.", show_default="32; 8 images")
-    ] = None
+    jobs: int = option("Processes; with --ray actors at most.", default=1, min=1)
+    ray: str | None = option("Work on a Ray cluster: its address, or auto.", metavar="ADDRESS")
+    every: int = option("Of videos every so many frames.", default=1, min=1)
+    batch_rows: int | None = option("Rows that a worker gets at once.", min=1, show_default="32; 8 images")
 
 
 def batch_command(

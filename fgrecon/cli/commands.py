@@ -1,7 +1,7 @@
 """Commands as parts of the command line: groups of options as one parameter.
 
-A command's parameter whose type is a dataclass stands for its fields: each is an option, declared once where several
-commands share it, or a dataclass of further options. So a command gets its whole request as one value.
+A command's parameter whose type is a dataclass stands for its fields: each is an option (`option`, or an annotation of
+typer's that several commands share), or a dataclass of further options. So a command gets its whole request as one value.
 """
 
 from __future__ import annotations
@@ -9,8 +9,7 @@ from __future__ import annotations
 import ast
 import inspect
 from collections.abc import Callable, Sequence
-from copy import copy
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, field, fields, is_dataclass
 from functools import wraps
 from importlib import import_module
 from importlib.util import find_spec
@@ -26,8 +25,22 @@ from fgrecon.core.errors import MissingPackageError
 
 Command = Callable[..., None]
 
+_OPTION = "option"  # in the metadata of a field: how typer shows it
+
 RESEARCH = "fgrecon-research"
 """The distribution that brings the commands which train, label and evaluate."""
+
+
+def option(words: str, *names: str, default: Any = None, **look: Any) -> Any:
+    """A field of a group that is an option of the command line.
+
+    Args:
+        words: Its help.
+        names: As `--name`; by default the field's.
+        default: Its value where it is not given.
+        look: Further arguments of `typer.Option`.
+    """
+    return field(default=default, metadata={_OPTION: typer.Option(*names, help=words, **look)})
 
 
 def new_group(name: str, text: str, of_research: Sequence[str]) -> typer.Typer:
@@ -166,8 +179,8 @@ def _made(group: type[Any], values: dict[str, Any]) -> Any:
     hints = get_type_hints(group)
     return group(
         **{
-            field.name: _made(hints[field.name], values) if _is_group(hints[field.name]) else values.pop(field.name)
-            for field in fields(group)
+            entry.name: _made(hints[entry.name], values) if _is_group(hints[entry.name]) else values.pop(entry.name)
+            for entry in fields(group)
         }
     )
 
@@ -176,13 +189,12 @@ def _options(group: type[Any]) -> list[inspect.Parameter]:
     """The options of a group, in the order of its fields; under the heading `panel` where it has one."""
     hints, panel = get_type_hints(group, include_extras=True), getattr(group, "panel", None)
     options: list[inspect.Parameter] = []
-    for field in fields(group):
-        kind = hints[field.name]
-        if panel is not None and not _is_group(kind):
-            (option,) = map(copy, kind.__metadata__)
-            option.rich_help_panel = panel
-            kind = Annotated[kind.__origin__, option]
-        default = inspect.Parameter.empty if field.default is MISSING else field.default
-        own = inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+    for entry in fields(group):
+        kind = hints[entry.name]
+        if (shown := entry.metadata.get(_OPTION)) is not None:
+            shown.rich_help_panel = panel
+            kind = Annotated[kind, shown]
+        default = inspect.Parameter.empty if entry.default is MISSING else entry.default
+        own = inspect.Parameter(entry.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
         options += _options(kind) if _is_group(kind) else [own]
     return options

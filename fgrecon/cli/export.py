@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import PRIORS, fitting_names
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Verbosity
@@ -30,33 +31,20 @@ def _kinds() -> list[str]:
 class ExportOptions:
     """What kind of file is written, and what it needs beside the results."""
 
-    kind: Annotated[
-        str | None,
-        typer.Option(
-            "--format",
-            metavar="NAME",
-            help=_FORMATS,
-            show_default="by the ending",
-            autocompletion=fitting_names(_kinds),
-        ),
-    ] = None
-    images: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.json|DATASET|BAG",
-            help="Tokens, ids, times and camera poses of the images (see File formats), or their data set; or their "
-            "bag, of which ros2 makes a copy.",
-        ),
-    ] = None
-    prior: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Shape prior that the results' surfaces are made from.",
-            show_default="as the results say",
-            autocompletion=PRIORS,
-        ),
-    ] = None
+    kind: str | None = option(
+        _FORMATS, "--format", metavar="NAME", show_default="by the ending", autocompletion=fitting_names(_kinds)
+    )
+    images: Path | None = option(
+        "Tokens, ids, times and camera poses of the images (see File formats), or their data set; or their "
+        "bag, of which ros2 makes a copy.",
+        metavar="FILE.json|DATASET|BAG",
+    )
+    prior: str | None = option(
+        "Shape prior that the results' surfaces are made from.",
+        metavar="NAME|FILE",
+        show_default="as the results say",
+        autocompletion=PRIORS,
+    )
 
 
 def export_command(

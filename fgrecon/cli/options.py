@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
+from fgrecon.cli.commands import option
 from fgrecon.core.choices import BoxModel, ClassSource, StrategyName, TrafficSide
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.parsing import parse_ground, parse_numbers
@@ -155,21 +156,14 @@ class CameraOptions:
     """The camera, where the input does not say."""
 
     calib: CalibOption = None
-    intrinsics: Annotated[
-        str | None, typer.Option(metavar="FX,FY,CX,CY", help="Camera in pixels.", show_default="from the file")
-    ] = None
-    distortion: Annotated[
-        str | None, typer.Option(metavar="K1,K2,P1,P2,...", help="OpenCV's distortion coefficients.")
-    ] = None
+    intrinsics: str | None = option("Camera in pixels.", metavar="FX,FY,CX,CY", show_default="from the file")
+    distortion: str | None = option("OpenCV's distortion coefficients.", metavar="K1,K2,P1,P2,...")
     camera: CameraOption = None
-    crop: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LEFT,TOP[,W,H]",
-            help="The image is a part of another (of W x H pixels) from there on; the camera is that one's.",
-            show_default="the whole image",
-        ),
-    ] = None
+    crop: str | None = option(
+        "The image is a part of another (of W x H pixels) from there on; the camera is that one's.",
+        metavar="LEFT,TOP[,W,H]",
+        show_default="the whole image",
+    )
 
     def source(self, *, scale_to_image: bool = False) -> CameraSource:
         """The camera as the library takes it.
@@ -220,37 +214,25 @@ class SceneOptions:
     """What is known about the vehicles, and how keypoints are weighted."""
 
     prior: PriorOption = "car14"
-    camera_height: Annotated[
-        float | None,
-        typer.Option(
-            help="Height of a level camera above the ground, m (in Python `ground=HEIGHT`).",
-            show_default="no ground plane",
-        ),
-    ] = None
+    camera_height: float | None = option(
+        "Height of a level camera above the ground, m (in Python `ground=HEIGHT`).", show_default="no ground plane"
+    )
     ground: GroundOption = None
-    size_prior: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FLEET",
-            help="How large vehicles are: kitti, kitti_traffic (with vans), apollo79, a JSON file of classes, or "
-            "length,width,height[,their spreads] in m.",
-            show_default="as in the shape prior",
-            autocompletion=FLEETS,
-        ),
-    ] = None
+    size_prior: str | None = option(
+        "How large vehicles are: kitti, kitti_traffic (with vans), apollo79, a JSON file of classes, or "
+        "length,width,height[,their spreads] in m.",
+        metavar="FLEET",
+        show_default="as in the shape prior",
+        autocompletion=FLEETS,
+    )
     traffic: TrafficOption = None
-    strategy: Annotated[StrategyName, typer.Option(help="Robust strategy.")] = StrategyName.MIXTURE
-    min_confidence: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Keypoints of less confidence count as not measured.")
-    ] = 0.0
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="How far to trust the keypoint network: what `fgrecon calibrate` wrote.",
-            show_default="of the shipped ones",
-        ),
-    ] = None
+    strategy: StrategyName = option("Robust strategy.", default=StrategyName.MIXTURE)
+    min_confidence: float = option("Keypoints of less confidence count as not measured.", default=0.0, min=0.0, max=1.0)
+    calibration: Path | None = option(
+        "How far to trust the keypoint network: what `fgrecon calibrate` wrote.",
+        metavar="FILE",
+        show_default="of the shipped ones",
+    )
 
     def settings(self, options: Options, classes: ClassSource | None = None) -> RunSettings:
         """What holds for every vehicle of a run.
@@ -280,28 +262,20 @@ class LabelledScene:
     """What is known of the scene on data with known poses."""
 
     prior: PriorOption = "car14"
-    size_prior: Annotated[
-        str,
-        typer.Option(
-            metavar="FLEET",
-            help="Size of the fleet: kitti, kitti_traffic, apollo79 or length,width,height in m; for images also none.",
-            autocompletion=FLEETS,
-        ),
-    ] = _KITTI
-    camera_height: Annotated[
-        float | None,
-        typer.Option(
-            help="Height of a level camera above the ground, m (in Python `ground=HEIGHT`).",
-            show_default=str(KITTI_CAMERA_HEIGHT),
-        ),
-    ] = None
-    ground: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NX,NY,NZ,D|none",
-            help="Ground plane instead: normal pointing down, camera height in m; for images also none.",
-        ),
-    ] = None
+    size_prior: str = option(
+        "Size of the fleet: kitti, kitti_traffic, apollo79 or length,width,height in m; for images also none.",
+        default=_KITTI,
+        metavar="FLEET",
+        autocompletion=FLEETS,
+    )
+    camera_height: float | None = option(
+        "Height of a level camera above the ground, m (in Python `ground=HEIGHT`).",
+        show_default=str(KITTI_CAMERA_HEIGHT),
+    )
+    ground: str | None = option(
+        "Ground plane instead: normal pointing down, camera height in m; for images also none.",
+        metavar="NX,NY,NZ,D|none",
+    )
 
     def plane(self) -> tuple[Ground, str]:
         """The ground plane, and in words where it comes from.
@@ -358,21 +332,15 @@ class LabelledScene:
 class VehicleBoxes:
     """Where the cars of an image are (else the detector finds them), and the network that finds their keypoints."""
 
-    box: Annotated[
-        list[str] | None,
-        typer.Option("--box", metavar="X1,Y1,X2,Y2", help="2D box of a car's outline, pixels; repeat for more."),
-    ] = None
-    boxes: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE|FOLDER",
-            help="Boxes of outlines (COCO, YOLO), of projected 3D boxes (KITTI, nuScenes, lines of detections without "
-            "a word) or as lines say; a folder: a file per image.",
-        ),
-    ] = None
-    detect: Annotated[bool, typer.Option("--detect", help="Find the cars in the image with the shipped detector.")] = (
-        False
+    box: list[str] | None = option(
+        "2D box of a car's outline, pixels; repeat for more.", "--box", metavar="X1,Y1,X2,Y2"
     )
+    boxes: Path | None = option(
+        "Boxes of outlines (COCO, YOLO), of projected 3D boxes (KITTI, nuScenes, lines of detections without "
+        "a word) or as lines say; a folder: a file per image.",
+        metavar="FILE|FOLDER",
+    )
+    detect: bool = option("Find the cars in the image with the shipped detector.", "--detect", default=False)
     min_score: MinScoreOption = None
     weights: WeightsOption = None
 
@@ -408,11 +376,11 @@ class BoxErrorOptions:
 
     panel: ClassVar = "Errors of the boxes (1 sigma)"
 
-    depth_error: Annotated[float, typer.Option(help="Of the distance, as a share of it.")] = 0.06
-    bearing_error: Annotated[float, typer.Option(help="Of a box's place in the image, pixels.")] = 2.0
-    yaw_error: Annotated[float, typer.Option(help="Of the yaw of a box without a heading flip, degrees.")] = 10.0
-    size_error: Annotated[float, typer.Option(help="Of length, width and height, as a share.")] = 0.05
-    flipped_share: Annotated[float, typer.Option(help="Share of boxes with a heading flip.")] = 0.05
+    depth_error: float = option("Of the distance, as a share of it.", default=0.06)
+    bearing_error: float = option("Of a box's place in the image, pixels.", default=2.0)
+    yaw_error: float = option("Of the yaw of a box without a heading flip, degrees.", default=10.0)
+    size_error: float = option("Of length, width and height, as a share.", default=0.05)
+    flipped_share: float = option("Share of boxes with a heading flip.", default=0.05)
 
     def errors(self) -> BoxErrors:
         """They, as the solver takes them.
@@ -450,22 +418,16 @@ class DriveOptions:
 
     weights: WeightsOption = None
     fold: FoldOption = None
-    box_model: Annotated[
-        BoxModel | None, typer.Option(help="What the 2D boxes enclose.", show_default="cuboid; detected for --detect")
-    ] = None
+    box_model: BoxModel | None = option("What the 2D boxes enclose.", show_default="cuboid; detected for --detect")
     together: TogetherOption = True
     traffic: TrafficOption = None
-    detect: Annotated[
-        bool,
-        typer.Option(
-            "--detect", help="Look at the boxes of the shipped vehicle detector instead of the labelled ones."
-        ),
-    ] = False
-    classes: Annotated[
-        ClassSource | None,
-        typer.Option(help="Take each vehicle in the size of its class, as its label or a network says it."),
-    ] = None
-    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1
+    detect: bool = option(
+        "Look at the boxes of the shipped vehicle detector instead of the labelled ones.", "--detect", default=False
+    )
+    classes: ClassSource | None = option(
+        "Take each vehicle in the size of its class, as its label or a network says it."
+    )
+    jobs: int = option("Processes.", default=1, min=1)
 
     def request(self, folders: Sequence[Path], labelled: LabelledScene) -> DriveRequest:
         """What is requested of the drives in some folders.
@@ -505,10 +467,8 @@ class Viewer:
 
     panel: ClassVar = "Recording"
 
-    connect: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="Send the recording to a rerun viewer that listens there.")
-    ] = None
-    spawn: Annotated[bool, typer.Option("--spawn", help="Show the recording in a new rerun viewer.")] = False
+    connect: str | None = option("Send the recording to a rerun viewer that listens there.", metavar="HOST:PORT")
+    spawn: bool = option("Show the recording in a new rerun viewer.", "--spawn", default=False)
 
     @property
     def requested(self) -> bool:
@@ -520,10 +480,9 @@ class Viewer:
 class Delivery(Viewer):
     """Where recordings go."""
 
-    save: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.rrd", help="Record for the rerun viewer; several recordings: FILE-NAME.rrd each."),
-    ] = None
+    save: Path | None = option(
+        "Record for the rerun viewer; several recordings: FILE-NAME.rrd each.", metavar="FILE.rrd"
+    )
 
     @property
     def requested(self) -> bool:

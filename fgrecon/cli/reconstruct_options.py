@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-import typer
-
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import (
     BOX_MODEL_HELP,
     CameraOptions,
@@ -39,45 +38,31 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
 class Solving:
     """How the vehicles are solved."""
 
-    box_model: Annotated[
-        BoxModel | None,
-        typer.Option(
-            help=BOX_MODEL_HELP,
-            show_default="surface for keypoint files and --box, as --boxes says, detected for --detect",
-        ),
-    ] = None
+    box_model: BoxModel | None = option(
+        BOX_MODEL_HELP, show_default="surface for keypoint files and --box, as --boxes says, detected for --detect"
+    )
     classes: ClassesOption = None
-    joint: Annotated[bool, typer.Option("--joint/--no-joint", help="Let pose and shape move together.")] = True
-    free_offsets: Annotated[
-        bool,
-        typer.Option(
-            "--free-offsets/--no-free-offsets", help="Let every keypoint leave the shape prior by a small offset."
-        ),
-    ] = True
-    ids: Annotated[
-        list[str] | None,
-        typer.Option("--id", metavar="NAME", help="Take only this vehicle of the file or image; may be repeated."),
-    ] = None
+    joint: bool = option("Let pose and shape move together.", "--joint/--no-joint", default=True)
+    free_offsets: bool = option(
+        "Let every keypoint leave the shape prior by a small offset.", "--free-offsets/--no-free-offsets", default=True
+    )
+    ids: list[str] | None = option(
+        "Take only this vehicle of the file or image; may be repeated.", "--id", metavar="NAME"
+    )
 
 
 @dataclass(frozen=True)
 class Drawings:
     """What is drawn of the results, and on which photograph."""
 
-    image: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The photograph: to draw on, and for its size.")
-    ] = None
-    picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the image and the scene from above (png, svg, pdf, jpg).")
-    ] = None
-    sheet: Annotated[
-        bool,
-        typer.Option("--sheet", help="Let --picture have a part of the image for each; of one vehicle the stages."),
-    ] = False
-    animation: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Animate the optimisation of one vehicle, of several with --id (gif, mp4)."),
-    ] = None
+    image: Path | None = option("The photograph: to draw on, and for its size.", metavar="FILE")
+    picture: Path | None = option("Draw the image and the scene from above (png, svg, pdf, jpg).", metavar="FILE")
+    sheet: bool = option(
+        "Let --picture have a part of the image for each; of one vehicle the stages.", "--sheet", default=False
+    )
+    animation: Path | None = option(
+        "Animate the optimisation of one vehicle, of several with --id (gif, mp4).", metavar="FILE"
+    )
 
     @property
     def requested(self) -> bool:
@@ -91,21 +76,13 @@ class CarModels:
 
     panel: ClassVar = "Car models"
 
-    models: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER|FILE",
-            help="Find the closest of these car models (obj, ply, glb, npz), in metres; it is drawn as well.",
-        ),
-    ] = None
-    models_axes: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FORWARD,UP",
-            help="What points forward and up in meshes, such as x,z.",
-            show_default="x,-y; z,y in glb",
-        ),
-    ] = None
+    models: Path | None = option(
+        "Find the closest of these car models (obj, ply, glb, npz), in metres; it is drawn as well.",
+        metavar="FOLDER|FILE",
+    )
+    models_axes: str | None = option(
+        "What points forward and up in meshes, such as x,z.", metavar="FORWARD,UP", show_default="x,-y; z,y in glb"
+    )
 
     def read(self, category: Category) -> list[VehicleMesh]:
         """The models; none where none are requested.
@@ -129,26 +106,18 @@ class Results:
     names: NamesOption = None
     json_out: JsonOption = None
     history: HistoryOption = False
-    together: Annotated[
-        bool | None,
-        typer.Option(
-            "--together/--apart",
-            help="Solve the vehicles of an image on one ground that is a variable, or each alone.",
-            show_default="together in an image, apart in a keypoint file",
-        ),
-    ] = None
-    scale_to_image: ScaleOption = False
-    jobs: Annotated[int, typer.Option(min=1, help="Processes; for thousands of vehicles see `fgrecon batch`.")] = 1
-    out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="For images: a results file NAME.json for each of them.")
-    ] = None
-    same_camera: Annotated[
-        bool,
-        typer.Option("--same-camera", help="With --out: one camera took all, whose focal length is not known."),
-    ] = False
-    pictures: Annotated[bool, typer.Option("--pictures", help="With --out: a picture NAME.png for each as well.")] = (
-        False
+    together: bool | None = option(
+        "Solve the vehicles of an image on one ground that is a variable, or each alone.",
+        "--together/--apart",
+        show_default="together in an image, apart in a keypoint file",
     )
+    scale_to_image: ScaleOption = False
+    jobs: int = option("Processes; for thousands of vehicles see `fgrecon batch`.", default=1, min=1)
+    out: Path | None = option("For images: a results file NAME.json for each of them.", metavar="FOLDER")
+    same_camera: bool = option(
+        "With --out: one camera took all, whose focal length is not known.", "--same-camera", default=False
+    )
+    pictures: bool = option("With --out: a picture NAME.png for each as well.", "--pictures", default=False)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import (
     BOX_MODEL_HELP,
     BoxErrorOptions,
@@ -30,12 +31,12 @@ class RefineOptions:
     scene: SceneOptions
     errors: BoxErrorOptions
     sensors: SensorOptions
-    min_score: Annotated[float, typer.Option(help="Boxes of a lower score stay as they are.")] = 0.5
-    box_model: Annotated[BoxModel, typer.Option(help=BOX_MODEL_HELP)] = BoxModel.CUBOID
+    min_score: float = option("Boxes of a lower score stay as they are.", default=0.5)
+    box_model: BoxModel = option(BOX_MODEL_HELP, default=BoxModel.CUBOID)
     weights: WeightsOption = None
-    box_origin: Annotated[
-        BoxOrigin, typer.Option(help="What KITTI's lines give of a box: the centre of its bottom face, or its centre.")
-    ] = BoxOrigin.BOTTOM
+    box_origin: BoxOrigin = option(
+        "What KITTI's lines give of a box: the centre of its bottom face, or its centre.", default=BoxOrigin.BOTTOM
+    )
 
 
 def refine_command(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import (
     CameraOptions,
     ClassesOption,
@@ -34,80 +35,58 @@ _STOPPED = 130
 class FrameOptions:
     """Which frames are taken, and when they were."""
 
-    fps: Annotated[
-        float | None,
-        typer.Option(help="Frames per second of images without times.", show_default="10; a video's own"),
-    ] = None
-    every: Annotated[int, typer.Option(min=1, help="Take every so many frames.")] = 1
-    start: Annotated[float, typer.Option(min=0.0, help="Begin so many seconds after the first frame.")] = 0.0
-    end: Annotated[
-        float | None, typer.Option(help="End so many seconds after the first frame.", show_default="the last frame")
-    ] = None
+    fps: float | None = option("Frames per second of images without times.", show_default="10; a video's own")
+    every: int = option("Take every so many frames.", default=1, min=1)
+    start: float = option("Begin so many seconds after the first frame.", default=0.0, min=0.0)
+    end: float | None = option("End so many seconds after the first frame.", show_default="the last frame")
 
 
 @dataclass(frozen=True)
 class MotionOptions:
     """How the camera moves."""
 
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE|TOPIC",
-            help="Poses of the camera: KITTI, TUM, or JSON with matrices; of a bag odometry, or a frame of TF.",
-            show_default="those of a data set or bag",
-        ),
-    ] = None
-    estimate_motion: Annotated[
-        bool | None,
-        typer.Option(
-            "--estimate-motion/--no-estimate-motion",
-            help="Estimate the camera's motion from the images; needs the ground.",
-            show_default="where the ground is given, and not with --alone",
-        ),
-    ] = None
+    poses: Path | None = option(
+        "Poses of the camera: KITTI, TUM, or JSON with matrices; of a bag odometry, or a frame of TF.",
+        metavar="FILE|TOPIC",
+        show_default="those of a data set or bag",
+    )
+    estimate_motion: bool | None = option(
+        "Estimate the camera's motion from the images; needs the ground.",
+        "--estimate-motion/--no-estimate-motion",
+        show_default="where the ground is given, and not with --alone",
+    )
 
 
 @dataclass(frozen=True)
 class VehicleOptions:
     """Where the vehicles are from, and how they are followed."""
 
-    tracks: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE|FOLDER",
-            help="Vehicles detected by others: KITTI's tracking lines, MOT's, keypoints, CSV; a folder: a file for "
-            "each image (YOLO, KITTI).",
-        ),
-    ] = None
-    classes: ClassesOption = None
-    forget_ids: Annotated[bool, typer.Option("--forget-ids", help="Give those vehicles ids anew.")] = False
-    scale_to_image: ScaleOption = False
-    box_model: Annotated[
-        BoxModel | None,
-        typer.Option(
-            help="What 2D boxes enclose; off: they are no evidence.",
-            show_default="detected; of --tracks: cuboid in KITTI's lines, surface otherwise",
-        ),
-    ] = None
-    weights: WeightsOption = None
-    device: Annotated[
-        str, typer.Option(metavar="NAME", help="Where the networks run: cpu, or cuda, cuda:1 where there is a GPU.")
-    ] = "cpu"
-    online: Annotated[
-        bool, typer.Option("--online", help="Leave each estimate as it was when its frame came; else it is smoothed.")
-    ] = False
-    alone: Annotated[bool, typer.Option("--alone", help="Take every image on its own: no motion, no smoothing.")] = (
-        False
+    tracks: Path | None = option(
+        "Vehicles detected by others: KITTI's tracking lines, MOT's, keypoints, CSV; a folder: a file for "
+        "each image (YOLO, KITTI).",
+        metavar="FILE|FOLDER",
     )
-    max_delay: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help="Let frames come as from a camera, by their times, and leave out those whose estimates would be there "
-            "later than this; with --online or --alone.",
-            show_default="every frame is taken",
-        ),
-    ] = None
+    classes: ClassesOption = None
+    forget_ids: bool = option("Give those vehicles ids anew.", "--forget-ids", default=False)
+    scale_to_image: ScaleOption = False
+    box_model: BoxModel | None = option(
+        "What 2D boxes enclose; off: they are no evidence.",
+        show_default="detected; of --tracks: cuboid in KITTI's lines, surface otherwise",
+    )
+    weights: WeightsOption = None
+    device: str = option(
+        "Where the networks run: cpu, or cuda, cuda:1 where there is a GPU.", default="cpu", metavar="NAME"
+    )
+    online: bool = option(
+        "Leave each estimate as it was when its frame came; else it is smoothed.", "--online", default=False
+    )
+    alone: bool = option("Take every image on its own: no motion, no smoothing.", "--alone", default=False)
+    max_delay: float | None = option(
+        "Let frames come as from a camera, by their times, and leave out those whose estimates would be there "
+        "later than this; with --online or --alone.",
+        metavar="SECONDS",
+        show_default="every frame is taken",
+    )
     together: TogetherOption = True
 
 
@@ -115,16 +94,9 @@ class VehicleOptions:
 class DrawnOptions:
     """What is drawn of the frames."""
 
-    video: Annotated[
-        Path | None, typer.Option(metavar="FILE.mp4", help="Write the video with the results drawn into it (H.264).")
-    ] = None
-    picture: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Draw a frame and its scene from above (png, svg, pdf, jpg)."),
-    ] = None
-    picture_frame: Annotated[
-        int | None, typer.Option(metavar="N", help="Which frame.", show_default="the one with the most cars")
-    ] = None
+    video: Path | None = option("Write the video with the results drawn into it (H.264).", metavar="FILE.mp4")
+    picture: Path | None = option("Draw a frame and its scene from above (png, svg, pdf, jpg).", metavar="FILE")
+    picture_frame: int | None = option("Which frame.", metavar="N", show_default="the one with the most cars")
 
 
 @dataclass(frozen=True)

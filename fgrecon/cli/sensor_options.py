@@ -6,10 +6,9 @@ import math
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-import typer
-
+from fgrecon.cli.commands import option
 from fgrecon.core.choices import DepthScale
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.parsing import parse_numbers
@@ -28,62 +27,38 @@ class SensorOptions:
 
     panel: ClassVar = "Other sensors"
 
-    lidar: Annotated[
-        str | None,
-        typer.Option(
-            metavar=f"{_FILES}|DATASET",
-            help="Points of a LiDAR: KITTI's or nuScenes' bin, npz, npy, pcd, ply, las; named as the images. Or the "
-            "data set that has them; of a bag its topic.",
-        ),
-    ] = None
-    lidar_pose: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="From the points' frame to the camera's: 12 numbers [R | t], or JSON with a matrix.",
-            show_default="by KITTI's calibration, nuScenes' tables or the bag's TF",
-        ),
-    ] = None
-    lidar_sigma: Annotated[
-        str | None,
-        typer.Option(
-            metavar="DEGREES,METRES",
-            help="How unsure that is: the cars of an image then tell how the LiDAR is turned and shifted (1 sigma).",
-            show_default="exact",
-        ),
-    ] = None
-    depth: Annotated[
-        str | None,
-        typer.Option(
-            metavar=_FILES, help="Depth maps as large as the images: KITTI's png of 16 bits, npy, npz, tiff, exr, pfm."
-        ),
-    ] = None
-    depth_scale: Annotated[
-        DepthScale, typer.Option(help="What a depth network's numbers are: metres, or to be scaled.")
-    ] = DepthScale.METRIC
-    depth_inverse: Annotated[bool, typer.Option("--depth-inverse", help="They are inverse depths, as disparities.")] = (
-        False
+    lidar: str | None = option(
+        "Points of a LiDAR: KITTI's or nuScenes' bin, npz, npy, pcd, ply, las; named as the images. Or the "
+        "data set that has them; of a bag its topic.",
+        metavar=f"{_FILES}|DATASET",
     )
-    right: Annotated[
-        str | None,
-        typer.Option(metavar=_FILES, help="Right images of pairs; KITTI's calibration has both cameras."),
-    ] = None
-    right_pose: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="From the left camera's frame to the right one's: 12 numbers [R | t], or JSON with a matrix.",
-            show_default="by KITTI's calibration",
-        ),
-    ] = None
-    right_camera: Annotated[
-        str | None,
-        typer.Option(metavar="FILE", help="The right camera, as --camera takes it.", show_default="as the left one"),
-    ] = None
-    masks: Annotated[
-        str | None,
-        typer.Option(metavar=_FILES, help="Masks of the vehicles: PNG of ids, named as the images, or COCO JSON."),
-    ] = None
+    lidar_pose: Path | None = option(
+        "From the points' frame to the camera's: 12 numbers [R | t], or JSON with a matrix.",
+        metavar="FILE",
+        show_default="by KITTI's calibration, nuScenes' tables or the bag's TF",
+    )
+    lidar_sigma: str | None = option(
+        "How unsure that is: the cars of an image then tell how the LiDAR is turned and shifted (1 sigma).",
+        metavar="DEGREES,METRES",
+        show_default="exact",
+    )
+    depth: str | None = option(
+        "Depth maps as large as the images: KITTI's png of 16 bits, npy, npz, tiff, exr, pfm.", metavar=_FILES
+    )
+    depth_scale: DepthScale = option(
+        "What a depth network's numbers are: metres, or to be scaled.", default=DepthScale.METRIC
+    )
+    depth_inverse: bool = option("They are inverse depths, as disparities.", "--depth-inverse", default=False)
+    right: str | None = option("Right images of pairs; KITTI's calibration has both cameras.", metavar=_FILES)
+    right_pose: Path | None = option(
+        "From the left camera's frame to the right one's: 12 numbers [R | t], or JSON with a matrix.",
+        metavar="FILE",
+        show_default="by KITTI's calibration",
+    )
+    right_camera: str | None = option(
+        "The right camera, as --camera takes it.", metavar="FILE", show_default="as the left one"
+    )
+    masks: str | None = option("Masks of the vehicles: PNG of ids, named as the images, or COCO JSON.", metavar=_FILES)
 
     def source(self, camera: CameraSource) -> SensorSource | None:
         """The files as the library takes them; None where none are given.

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fgrecon.cli.commands import option
 from fgrecon.cli.terminal import Quiet
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
@@ -17,15 +18,13 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
 class ServerOptions:
     """Where a server listens, and how much it does at once."""
 
-    host: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Address to listen at; the default is this machine alone.")
-    ] = "127.0.0.1"
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes that solve, of one thread each.", show_default="one a core")
-    ] = None
-    waiting: Annotated[int, typer.Option(min=0, help="Requests that may wait; more are refused (503).")] = 64
-    max_megabytes: Annotated[int, typer.Option(min=1, help="Size of an uploaded image or keypoint file.")] = 32
-    seconds: Annotated[float, typer.Option(min=1.0, help="After which work on a request is given up.")] = 60.0
+    host: str = option(
+        "Address to listen at; the default is this machine alone.", default="127.0.0.1", metavar="ADDRESS"
+    )
+    workers: int | None = option("Processes that solve, of one thread each.", min=1, show_default="one a core")
+    waiting: int = option("Requests that may wait; more are refused (503).", default=64, min=0)
+    max_megabytes: int = option("Size of an uploaded image or keypoint file.", default=32, min=1)
+    seconds: float = option("After which work on a request is given up.", default=60.0, min=1.0)
 
     def server(self, port: int) -> Server:
         """The same as the library takes it."""

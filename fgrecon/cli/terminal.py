@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
-import typer
-
+from fgrecon.cli.commands import option
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import printable, whole_text
 
@@ -153,7 +152,7 @@ class Quiet:
 
     panel: ClassVar = "Terminal"
 
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False
+    quiet: bool = option("Say nothing but errors.", "--quiet", "-q", default=False)
 
     def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:
         """Where the command says it; see `Screen`."""
@@ -164,7 +163,7 @@ class Quiet:
 class Verbosity(Quiet):
     """How much a command says that can say more."""
 
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")] = False
+    verbose: bool = option("Say more.", "--verbose", "-v", default=False)
 
     def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:
         """Where the command says it; see `Screen`."""
@@ -175,9 +174,7 @@ class Verbosity(Quiet):
 class Terminal(Verbosity):
     """How much a command says whose work may take long."""
 
-    progress: Annotated[
-        bool | None, typer.Option("--progress/--no-progress", help="Show progress.", show_default="on a terminal")
-    ] = None
+    progress: bool | None = option("Show progress.", "--progress/--no-progress", show_default="on a terminal")
 
     def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:
         """Where the command says it; see `Screen`."""

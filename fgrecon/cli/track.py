@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import (
     BOX_MODEL_HELP,
     CameraOptions,
@@ -30,12 +31,9 @@ class TrackOptions:
     camera: CameraOptions
     scene: SceneOptions
     delivery: Delivery
-    box_model: Annotated[BoxModel, typer.Option(help=BOX_MODEL_HELP)] = BoxModel.SURFACE
-    images: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="Folder with the photographs, named by number: 000012.png or .jpg."),
-    ] = None
-    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw a sheet of all images.")] = None
+    box_model: BoxModel = option(BOX_MODEL_HELP, default=BoxModel.SURFACE)
+    images: Path | None = option("Folder with the photographs, named by number: 000012.png or .jpg.", metavar="FOLDER")
+    picture: Path | None = option("Draw a sheet of all images.", metavar="FILE")
     names: NamesOption = None
     scale_to_image: ScaleOption = False
     json_out: JsonOption = None
