@@ -17,6 +17,7 @@ from fgrecon.app.requested import Requested
 from fgrecon.app.solving import Uploaded, solve
 from fgrecon.batch.file_service import SolvedFile
 from fgrecon.batch.solve_tasks import Outcome, with_closest
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
@@ -201,7 +202,7 @@ def _above(solved: SolvedFile, camera: Camera, size: tuple[float, float]) -> byt
     return _png(as_rgb(figure, 180))
 
 
-def _pixels(points: NDArray[np.float64]) -> Pixels:
+def _pixels(points: Array) -> Pixels:
     return [[round(float(u), 1), round(float(v), 1)] if np.isfinite((u, v)).all() else None for u, v in points]
 
 
@@ -257,14 +258,14 @@ def _car(number: int, outcome: Outcome) -> ShownCar:
     )
 
 
-def _place(camera_T_object: NDArray[np.float64]) -> list[str]:
+def _place(camera_T_object: Array) -> list[str]:
     from fgrecon.core.reconstruction import rotation_y
 
     yaw = float(np.degrees(rotation_y(camera_T_object)))
     return [f"{yaw:.0f}", ", ".join(f"{number:.2f}" for number in camera_T_object[:3, 3])]
 
 
-def _numbers(values: NDArray[np.float64]) -> list[float]:
+def _numbers(values: Array) -> list[float]:
     return [round(float(value), 3) for value in np.nan_to_num(values)]
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
 from fgrecon.cli.terminal import compact_table
+from fgrecon.core.arrays import Array
 from fgrecon.core.category import Category
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
@@ -33,8 +33,8 @@ class Stage:
     """The estimate at the end of a stage of the optimisation."""
 
     title: str  # name of the stage
-    camera_T_object: NDArray[np.float64]  # (4, 4) pose
-    box_size: NDArray[np.float64]  # (3,) length, width and height, metres
+    camera_T_object: Array  # (4, 4) pose
+    box_size: Array  # (3,) length, width and height, metres
     errors: dict[str, float]  # distances from the truth, by the names of `fgrecon.viz.subjects`
 
 
@@ -59,7 +59,7 @@ def stages(result: Reconstruction, category: Category, truth: Truth) -> list[Sta
     ]
 
 
-def _size(category: Category, keypoints: NDArray[np.float64]) -> NDArray[np.float64]:
+def _size(category: Category, keypoints: Array) -> Array:
     """(3,) length, width and height in metres by keypoints (K, 3)."""
     return np.tensordot(category.dimension_operator, keypoints, axes=2)
 
@@ -84,7 +84,7 @@ def table(truth: Truth, estimates: Iterable[Stage]) -> Table:
     return result
 
 
-def _pose_cells(pose: NDArray[np.float64], size: Iterable[float]) -> tuple[str, str, str]:
+def _pose_cells(pose: Array, size: Iterable[float]) -> tuple[str, str, str]:
     place, extent = (", ".join(f"{number:.2f}" for number in numbers) for numbers in (pose[:3, 3], size))
     return f"{np.degrees(rotation_y(pose)):.1f}", place, extent
 
@@ -139,7 +139,7 @@ def document(
     }
 
 
-def _pose_to_dict(pose: NDArray[np.float64]) -> dict[str, Any]:
+def _pose_to_dict(pose: Array) -> dict[str, Any]:
     return {"camera_T_object": pose.tolist(), "rotation_y": rotation_y(pose), "location": pose[:3, 3].tolist()}
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Iteration, Reconstruction
@@ -120,7 +121,7 @@ def _draw_ground(axes: Any, result: Reconstruction, truth: Truth | None) -> None
     draw_grid(axes)
 
 
-def _prepare_energy(axes: Any, result: Reconstruction) -> NDArray[np.float64]:
+def _prepare_energy(axes: Any, result: Reconstruction) -> Array:
     """Axes for the energy, as large as all of it; (n,) totals."""
     totals = np.array([total_energy(step) for step in result.diagnostics.history])
     finite = totals[np.isfinite(totals)]

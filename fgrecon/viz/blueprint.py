@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import rerun.blueprint as rrb
 import rerun.blueprint.archetypes as forces
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz import entities, style
@@ -322,8 +322,6 @@ def _eye_beside(reconstruction: Reconstruction) -> Any:
     return _look(position, target)
 
 
-def _look(
-    position: NDArray[np.float64], target: NDArray[np.float64], up: tuple[float, float, float] = (0.0, -1.0, 0.0)
-) -> Any:
+def _look(position: Array, target: Array, up: tuple[float, float, float] = (0.0, -1.0, 0.0)) -> Any:
     """An eye at a position that looks at a target, with what is to be up in its view; camera frame, metres."""
     return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up)

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
+
 FIELDS = "fields"
 """Name of the component that `exact_column` makes."""
 
@@ -71,7 +73,7 @@ def made_columns(archetype: Any) -> tuple[Any, ...]:
     return tuple(batch.partition([len(batch.as_arrow_array())]) for batch in archetype.as_component_batches())
 
 
-def strip_columns(archetype: Any, strips: NDArray[np.float64]) -> Any:
+def strip_columns(archetype: Any, strips: Array) -> Any:
     """Strips (n, S, P, D) of `LineStrips2D` or `LineStrips3D` as n rows; those that are not finite are left out."""
     drawn = np.isfinite(strips).all(axis=(2, 3))
     return archetype.columns(strips=strips[drawn]).partition(drawn.sum(axis=1))

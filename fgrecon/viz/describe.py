@@ -8,6 +8,7 @@ from operator import ne
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import position_covariance, view_azimuth
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import TRUSTED, Iteration, Reconstruction
@@ -32,7 +33,7 @@ def weight_updates(history: Sequence[Iteration]) -> NDArray[np.int64]:
     return np.cumsum([False, *map(ne, updates[1:], updates)][: len(updates)], dtype=np.int64)
 
 
-def median_residual(observation: Observation, projections: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+def median_residual(observation: Observation, projections: Array, weights: Array) -> float:
     """Median distance in pixels from the trusted keypoints (weight at least 0.5, else all) to projections (K, 2)."""
     across, down = (observation.keypoints - projections).T
     distances = np.hypot(across, down)
@@ -68,7 +69,7 @@ def describe_stop(before: Iteration | None, steps: Sequence[Iteration]) -> str:
     return f"{last.stage} ended after update {last.irls}: {verdict}, energy by {energy:+.2g}"
 
 
-def describe_errors(truth: Truth, camera_T_object: NDArray[np.float64], keypoints: NDArray[np.float64]) -> str:
+def describe_errors(truth: Truth, camera_T_object: Array, keypoints: Array) -> str:
     """The distance of an estimate from the truth in one line: yaw, translation and, where known, shape."""
     errors = truth.errors(camera_T_object, keypoints)
     parts = [f"yaw {errors[ORIENTATION_ERROR]:.1f}°", f"position {errors[TRANSLATION_ERROR]:.2f} m"]
@@ -159,7 +160,7 @@ def _alternatives(reconstruction: Reconstruction) -> str:
     return f"{count}, the best {min(excesses):.1f} nats worse" if excesses else count
 
 
-def state_in_words(what: str, camera_T_object: NDArray[np.float64]) -> str:
+def state_in_words(what: str, camera_T_object: Array) -> str:
     """A status or stage, and whether the camera observes the vehicle's front or its rear."""
     azimuth = float(view_azimuth(camera_T_object[:3, :3], camera_T_object[:3, 3]))
     return f"{what}, {'front' if abs(azimuth) < np.pi / 2 else 'rear'}"

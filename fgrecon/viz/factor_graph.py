@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.core.vehicle_mesh import Colour
 from fgrecon.viz import entities, style
@@ -36,7 +36,7 @@ class Layout:
     key: tuple[GraphFactor, ...]  # what is laid out
     nodes: tuple[str, ...]  # V + F unique names
     labels: tuple[str, ...]  # V + F texts
-    positions: NDArray[np.float64]  # (V + F, 2) places, x to the right, y down
+    positions: Array  # (V + F, 2) places, x to the right, y down
     colours: tuple[Colour, ...]  # V + F colours
     variables: int  # V
     edges: tuple[tuple[str, str], ...]  # pairs (factor, variable) of names

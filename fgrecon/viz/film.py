@@ -12,6 +12,7 @@ from threading import Thread
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
 from fgrecon.core.result_fields import Status
@@ -45,7 +46,7 @@ class Showing:
     def __init__(self, *, beside_table: bool = False) -> None:
         """Nothing was shown yet; a table beside it may have distances and what became of each vehicle."""
         self._beside_table = beside_table
-        self._trails: dict[int, list[NDArray[np.float64]]] = {}  # where each vehicle was, in the world
+        self._trails: dict[int, list[Array]] = {}  # where each vehicle was, in the world
         self._seen: set[int] = set()
 
     def vehicles(self, frame: TrackedFrame) -> tuple[DrawnVehicle, ...]:
@@ -62,7 +63,7 @@ class Showing:
             shown.append(DrawnVehicle(identity, box, estimate.reconstruction, words, trail, detection=detection))
         return tuple(shown)
 
-    def _trail(self, estimate: VehicleEstimate, world_T_camera: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def _trail(self, estimate: VehicleEstimate, world_T_camera: Array) -> Array | None:
         """(T, 3) where a vehicle was as far as that is known, in the camera's frame."""
         places = self._trails.setdefault(estimate.id, [])
         if estimate.world_T_object is not None and estimate.reconstruction.status.determined:

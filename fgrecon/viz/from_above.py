@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import position_covariance, transform
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.vehicle_mesh import Colour
@@ -46,7 +46,7 @@ START_DASHES = (0, (1.0, 1.2))
 """Of the first estimate."""
 
 
-def extent_from_above(scene: DrawnScene) -> NDArray[np.float64]:
+def extent_from_above(scene: DrawnScene) -> Array:
     """(2, 2) lowest and highest coordinates, right and ahead, of all that is drawn, metres."""
     level = level_axes(scene.ground)
     axes = level[[0, 2]]
@@ -75,7 +75,7 @@ def ellipse_scale(scene: DrawnScene, metres_per_millimetre: float) -> float:
     return next((scale for scale in _SCALES if scale >= least), _SCALES[-1])
 
 
-def draw_scene_from_above(axes: Any, scene: DrawnScene, extent: NDArray[np.float64], scale: float) -> None:
+def draw_scene_from_above(axes: Any, scene: DrawnScene, extent: Array, scale: float) -> None:
     """Draw it: right is right of the camera, up is ahead, in the ground plane.
 
     Args:
@@ -113,29 +113,23 @@ def draw_scene_from_above(axes: Any, scene: DrawnScene, extent: NDArray[np.float
         spine.set_linewidth(0.6)
 
 
-def _outline(
-    pose: NDArray[np.float64], result: Reconstruction, arrow: float = NOSE
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _outline(pose: Array, result: Reconstruction, arrow: float = NOSE) -> tuple[Array, Array]:
     """(4, 3) footprint, and (2, 3) the middle and the tip of the heading's arrow; camera frame."""
     length = float(result.box_size[0])
     nose = np.array([(0.0, 0.0, 0.0), (length / 2 + arrow, 0.0, 0.0)])
     return transform(pose, outline_corners(result.box_size))[:4], transform(pose, nose)
 
 
-def _covariance(
-    result: Reconstruction, pose: NDArray[np.float64], level: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
+def _covariance(result: Reconstruction, pose: Array, level: Array) -> Array | None:
     """(2, 2) of the position in the ground plane; None where it is not known."""
     if result.uncertainty.pose_covariance is None:
         return None
     flat = level[[0, 2]]
-    covariance: NDArray[np.float64] = flat @ position_covariance(pose, result.uncertainty.pose_covariance) @ flat.T
+    covariance: Array = flat @ position_covariance(pose, result.uncertainty.pose_covariance) @ flat.T
     return covariance if np.isfinite(covariance).all() else None
 
 
-def _draw_beside(
-    axes: Any, vehicle: DrawnVehicle, start: NDArray[np.float64] | None, flat: NDArray[np.float64]
-) -> None:
+def _draw_beside(axes: Any, vehicle: DrawnVehicle, start: Array | None, flat: Array) -> None:
     """Truth, points of other sensors, path, and first estimate of a vehicle."""
     colour = style.categorical(vehicle.identity)
     if vehicle.truth is not None and vehicle.truth.box_size is not None:
@@ -152,9 +146,7 @@ def _draw_beside(
         _path(axes, corners, style.FADED, 0.7, START_DASHES, closed=True, zorder=3)
 
 
-def _draw_vehicle(
-    axes: Any, colour: Colour, dashes: Any, footprint: NDArray[np.float64], nose: NDArray[np.float64]
-) -> None:
+def _draw_vehicle(axes: Any, colour: Colour, dashes: Any, footprint: Array, nose: Array) -> None:
     """A footprint, filled faintly, and an arrow from its middle beyond its front."""
     axes.fill(*footprint.T, color=unit(colour), alpha=0.22, linewidth=0, zorder=4)
     _path(axes, footprint, colour, 1.1, dashes, closed=True, zorder=5)
@@ -162,7 +154,7 @@ def _draw_vehicle(
     axes.annotate("", nose[1], nose[0], arrowprops={**look, "color": unit(colour)}, zorder=6, annotation_clip=True)
 
 
-def _draw_region(axes: Any, ring: NDArray[np.float64], colour: Colour | None) -> None:
+def _draw_region(axes: Any, ring: Array, colour: Colour | None) -> None:
     """How far a position is known; with a colour thinly and below the vehicles, where many of them overlap."""
     many = colour is not None
     line = style.INK if colour is None else colour
@@ -170,7 +162,7 @@ def _draw_region(axes: Any, ring: NDArray[np.float64], colour: Colour | None) ->
     _path(axes, ring, line, 0.4 if many else 0.7, "-", closed=True, zorder=3 if many else 7)
 
 
-def _draw_view(axes: Any, scene: DrawnScene, flat: NDArray[np.float64], far: float) -> None:
+def _draw_view(axes: Any, scene: DrawnScene, flat: Array, far: float) -> None:
     """The camera, and the part of the ground that its image is of."""
     camera, middle = scene.camera, float(scene.camera.matrix[1, 2])
     rays = camera.rays(camera.undistort(np.array([(-0.5, middle), (scene.size[0] - 0.5, middle)]))) @ flat.T
@@ -197,7 +189,7 @@ def _draw_scale(axes: Any, far: float) -> None:
 
 def _path(
     axes: Any,
-    points: NDArray[np.float64],
+    points: Array,
     colour: Colour,
     width: float,
     dashes: Any,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
@@ -54,9 +55,7 @@ def resolution(camera: Camera, image: NDArray[np.uint8] | None) -> tuple[float, 
     return max(2 * float(camera.matrix[0, 2]), 1.0), max(2 * float(camera.matrix[1, 2]), 1.0)
 
 
-def image_points(
-    camera: Camera, camera_T_object: NDArray[np.float64], points: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def image_points(camera: Camera, camera_T_object: Array, points: Array) -> Array:
     """(M, 2) pixels of object points (M, 3) in the real image, lens distortion included.
 
     Rows are NaN where a point is behind the camera or too far outside of the image to be drawn.
@@ -72,7 +71,7 @@ def image_points(
     return pixels
 
 
-def outline_corners(size: NDArray[np.float64]) -> NDArray[np.float64]:
+def outline_corners(size: Array) -> Array:
     """(8, 3) corners of a vehicle's box of length, width, height in the object frame: bottom face first, metres.
 
     In each face the order is front left, front right, rear right, rear left.
@@ -80,7 +79,7 @@ def outline_corners(size: NDArray[np.float64]) -> NDArray[np.float64]:
     return box_corners(size)[_AROUND]
 
 
-def box_path(box: NDArray[np.float64]) -> NDArray[np.float64]:
+def box_path(box: Array) -> Array:
     """(5, 2) closed outline of a 2D box x1, y1, x2, y2."""
     x1, y1, x2, y2 = box
     return np.array([(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)])
@@ -88,7 +87,7 @@ def box_path(box: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def crop_around(
     observation: Observation,
-    projections: NDArray[np.float64],
+    projections: Array,
     *,
     aspect: float,
 ) -> Box:
@@ -121,14 +120,14 @@ def crop_around(
     return (centre[0] - width / 2, centre[1] - height / 2, centre[0] + width / 2, centre[1] + height / 2)
 
 
-def ellipsoids(covariances: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def ellipsoids(covariances: Array) -> tuple[Array, Array]:
     """One-sigma ellipsoids of covariances (M, 3, 3): half axes (M, 3), and rotations (M, 3, 3) with them as columns."""
     values, vectors = np.linalg.eigh(covariances)
     vectors[:, :, 2] *= np.sign(np.linalg.det(vectors))[:, None]  # a rotation, not a reflection
     return np.sqrt(np.maximum(values, 0.0)), vectors
 
 
-def ground_grid(camera_T_object: NDArray[np.float64], ground: Ground | None) -> NDArray[np.float64]:
+def ground_grid(camera_T_object: Array, ground: Ground | None) -> Array:
     """(L, 2, 3) lines of a grid on the ground around a vehicle, in the camera frame, metres.
 
     The grid is in the ground plane where one is given, else in the plane below the vehicle (y = 0 of its frame).
@@ -147,7 +146,7 @@ def ground_grid(camera_T_object: NDArray[np.float64], ground: Ground | None) -> 
     return origin + lines[..., :1] * forward + lines[..., 1:] * left
 
 
-def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+def vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
     """(V, 3) unit normals of a mesh, averaged over the faces at each vertex by area; zero where none meet."""
     a, b, c = vertices.T[:, faces.T].swapaxes(0, 1)
     (x, y, z), (u, v, w) = b - a, c - a
@@ -158,9 +157,7 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> N
     return normals / np.where(lengths > 0, lengths, 1.0)
 
 
-def ground_lines(
-    ground: Ground, locations: Sequence[NDArray[np.float64]], across: Callable[[float], NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def ground_lines(ground: Ground, locations: Sequence[Array], across: Callable[[float], Array]) -> Array:
     """(L, 2, 3) lines of a grid on the ground before the camera, beyond vehicles, in the camera frame, metres.
 
     Args:
@@ -179,7 +176,7 @@ def ground_lines(
     return ground.distance * down + spots[..., :1] * right + spots[..., 1:] * forward
 
 
-def level_axes(ground: Ground | None) -> NDArray[np.float64]:
+def level_axes(ground: Ground | None) -> Array:
     """(3, 3) rotation of the camera frame into one with its y axis down: rows are right, down and ahead.
 
     Without a ground the camera is taken for level.
@@ -193,7 +190,7 @@ def level_axes(ground: Ground | None) -> NDArray[np.float64]:
     return np.stack([cross(down, ahead), down, ahead])
 
 
-def ellipse(covariance: NDArray[np.float64], radius: float, points: int = 48) -> NDArray[np.float64]:
+def ellipse(covariance: Array, radius: float, points: int = 48) -> Array:
     """(points, 2) outline of the ellipse of a covariance (2, 2), that many standard deviations large, about 0."""
     values, vectors = np.linalg.eigh(covariance)
     angles = np.linspace(0.0, 2 * np.pi, points, endpoint=False)
@@ -201,9 +198,7 @@ def ellipse(covariance: NDArray[np.float64], radius: float, points: int = 48) ->
     return radius * circle * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
 
 
-def face_outlines(
-    keypoints: NDArray[np.float64], faces: Mapping[str, tuple[int, ...]]
-) -> dict[str, NDArray[np.float64]]:
+def face_outlines(keypoints: Array, faces: Mapping[str, tuple[int, ...]]) -> dict[str, Array]:
     """(n, F, 3) keypoints of every face, moved onto the plane that fits them best.
 
     Args:
@@ -221,7 +216,7 @@ def face_outlines(
     return outlines
 
 
-def medial_outlines(keypoints: NDArray[np.float64], pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+def medial_outlines(keypoints: Array, pairs: NDArray[np.int64]) -> Array:
     """(n, 4, 3) corners of a rectangle in the plane halfway between mirrored keypoints, as large as the wireframe.
 
     Args:

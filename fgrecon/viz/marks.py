@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import TRUSTED
@@ -19,7 +20,7 @@ from fgrecon.viz.subjects import Truth
 _LINE = 1.6
 
 
-def unit(colour: ArrayLike) -> NDArray[np.float64]:
+def unit(colour: ArrayLike) -> Array:
     """8-bit colours (..., 3) as matplotlib takes them, from 0 to 1."""
     return np.asarray(colour, dtype=np.float64) / 255.0
 
@@ -51,18 +52,14 @@ def draw_crop(axes: Any, image: NDArray[np.uint8] | None, camera: Camera | None,
         spine.set_color(unit(style.HAIRLINE))
 
 
-def draw_edges(
-    axes: Any, points: NDArray[np.float64], edges: Mapping[Side, NDArray[np.int64]], alpha: float = 1.0
-) -> None:
+def draw_edges(axes: Any, points: Array, edges: Mapping[Side, NDArray[np.int64]], alpha: float = 1.0) -> None:
     """A wireframe of points (K, 2), each side in its colour on a light casing; edges with a NaN end are left out."""
     for side in (Side.ACROSS, Side.RIGHT, Side.LEFT):
         if side in edges:
             _draw_lines(axes, points[edges[side]], SIDE_COLOURS[side], _LINE, alpha, zorder=3)
 
 
-def draw_keypoints(
-    axes: Any, observation: Observation, weights: NDArray[np.float64], projections: NDArray[np.float64] | None
-) -> None:
+def draw_keypoints(axes: Any, observation: Observation, weights: Array, projections: Array | None) -> None:
     """Detected keypoints, colour and size by weight, each with a line to its projection (K, 2) where one is given."""
     measured = observation.measured
     detected = observation.keypoints[measured]
@@ -74,9 +71,7 @@ def draw_keypoints(
     axes.scatter(*detected.T, s=sizes, c=colours, edgecolors=[unit(style.PAPER)], linewidths=0.6, zorder=6)
 
 
-def draw_points(
-    axes: Any, places: NDArray[np.float64], weights: NDArray[np.float64], colour: Colour, zorder: float
-) -> None:
+def draw_points(axes: Any, places: Array, weights: Array, colour: Colour, zorder: float) -> None:
     """Points (N, 2) of other sensors: dots of a colour where they are the vehicle's, and faint crosses where not.
 
     Args:
@@ -91,7 +86,7 @@ def draw_points(
     axes.scatter(*places[used].T, s=1.2, color=[unit(colour)], edgecolors=[unit(style.PAPER)], lw=0.1, zorder=zorder)
 
 
-def draw_box(axes: Any, box: NDArray[np.float64]) -> None:
+def draw_box(axes: Any, box: Array) -> None:
     """The 2D box (4,) of an observation."""
     corners = box_path(box)
     axes.plot(*corners.T, color=unit(style.PAPER), linewidth=1.3, alpha=0.7, zorder=1)
@@ -121,9 +116,7 @@ def draw_true_box(axes: Any, truth: Truth, camera: Camera) -> None:
         _draw_lines(axes, corners[BOX_EDGES], style.TRUTH, 0.9, 0.9, zorder=2)
 
 
-def _draw_lines(
-    axes: Any, lines: NDArray[np.float64], colour: Colour, width: float, alpha: float, zorder: float
-) -> None:
+def _draw_lines(axes: Any, lines: Array, colour: Colour, width: float, alpha: float, zorder: float) -> None:
     """Line segments (S, 2, 2); those with a point that is not finite are left out."""
     drawn = list(lines[np.isfinite(lines).all(axis=(1, 2))])
     draw_paths(axes, drawn, colour, width, "-", alpha=alpha, zorder=zorder)
@@ -131,7 +124,7 @@ def _draw_lines(
 
 def draw_paths(
     axes: Any,
-    paths: Sequence[NDArray[np.float64]],
+    paths: Sequence[Array],
     colour: Colour,
     width: float,
     dashes: Any,

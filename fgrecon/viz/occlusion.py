@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.vehicle_mesh import Colour, VehicleMesh
 from fgrecon.viz.geometry import fan, image_points
 
-PosedModel = tuple[VehicleMesh, NDArray[np.float64], Colour]
+PosedModel = tuple[VehicleMesh, Array, Colour]
 """A model, the pose (4, 4) it has, and its colour."""
 
 _LARGEST_DEPTH, _LARGEST_RENDERING = 1500.0, 2000.0  # pixels of the longer sides
@@ -28,17 +29,15 @@ _LIGHT = np.array([-0.3, -0.85, -0.45])  # in the camera frame: from above, and 
 
 
 def _triangles(
-    camera: Camera, pose: NDArray[np.float64], vertices: NDArray[np.float64], faces: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    camera: Camera, pose: Array, vertices: Array, faces: NDArray[np.int64]
+) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Pixels (F, 3, 2), corners (F, 3, 3) in the camera frame, and (F,) whether they can be drawn."""
     pixels = image_points(camera, pose, vertices)[faces]
     drawn = np.isfinite(pixels).all(axis=(1, 2)) & (np.abs(pixels) < _FARTHEST_PIXEL).all(axis=(1, 2))
     return pixels, transform(pose, vertices)[faces], np.asarray(drawn)
 
 
-def shading(
-    corners: NDArray[np.float64], light: NDArray[np.float64], outward: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def shading(corners: Array, light: Array, outward: Array) -> Array:
     """(F,) brightness from 0.5 to 1 of triangles (F, 3, 3), each turned to the side where `outward` (F, 3) points."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -82,7 +81,7 @@ class DepthImage:
     depth: NDArray[np.float32]  # (h, w) metres; infinite where nothing is
     scale: float  # its pixels in a pixel of the image
 
-    def hides(self, pixels: NDArray[np.float64], depths: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def hides(self, pixels: Array, depths: Array) -> NDArray[np.bool_]:
         """(...) whether something is before points at pixels (..., 2) and depths (...) in metres."""
         height, width = self.depth.shape
         with np.errstate(invalid="ignore"):
@@ -113,7 +112,7 @@ def depth_image(results: Iterable[Reconstruction], camera: Camera, size: tuple[f
     return DepthImage(depth, scale)
 
 
-def _surface(result: Reconstruction) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _surface(result: Reconstruction) -> tuple[Array, NDArray[np.int64]]:
     """Vertices (V, 3) and triangles (F, 3) that hide what is behind them."""
     if result.shape.surface_vertices is not None and result.shape.surface_faces is not None:
         return result.shape.surface_vertices, result.shape.surface_faces
@@ -121,15 +120,13 @@ def _surface(result: Reconstruction) -> tuple[NDArray[np.float64], NDArray[np.in
     return result.wireframe, np.array(triangles, dtype=np.int64).reshape(-1, 3)
 
 
-def pieces_of(lines: NDArray[np.float64], count: int = _PIECES) -> NDArray[np.float64]:
+def pieces_of(lines: Array, count: int = _PIECES) -> Array:
     """Lines (L, 2, 3) as (L, count + 1, 3) points along each, ends included."""
     along = np.linspace(0.0, 1.0, count + 1)[:, None]
     return lines[:, :1] * (1.0 - along) + lines[:, 1:] * along
 
 
-def runs_of(
-    points: NDArray[np.float64], camera: Camera, depth: DepthImage | None
-) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
+def runs_of(points: Array, camera: Camera, depth: DepthImage | None) -> tuple[list[Array], list[Array]]:
     """What is visible of lines, and what is hidden, as paths in the image.
 
     Args:
@@ -145,8 +142,8 @@ def runs_of(
     middles = (pixels[:, :-1] + pixels[:, 1:]) / 2
     drawn = np.isfinite(middles).all(axis=-1)
     hidden = drawn & False if depth is None else depth.hides(middles, (points[:, :-1, 2] + points[:, 1:, 2]) / 2)
-    visible: list[NDArray[np.float64]] = []
-    behind: list[NDArray[np.float64]] = []
+    visible: list[Array] = []
+    behind: list[Array] = []
     for path, kinds in zip(pixels, np.where(drawn, hidden, -1), strict=True):
         smooth = _without_short(kinds)
         for start, end in _runs(smooth):

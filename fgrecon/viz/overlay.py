@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import TRUSTED
@@ -117,7 +118,7 @@ def _from_above(height: int, width: int, vehicles: Sequence[DrawnVehicle]) -> ND
     wide = max(round(2 * _BESIDE * scale), 1)
     panel = np.full((height, wide, 3), style.INK, dtype=np.uint8)
 
-    def at(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(points: Array) -> Array:
         return np.stack([wide / 2 + points[:, 0] * scale, height - (points[:, -1] + _BEHIND) * scale], axis=1)
 
     grey = style.FADED
@@ -145,7 +146,7 @@ def _from_above(height: int, width: int, vehicles: Sequence[DrawnVehicle]) -> ND
     return panel
 
 
-def _lines(canvas: NDArray[np.uint8], lines: NDArray[np.float64], colour: Colour, width: int) -> None:
+def _lines(canvas: NDArray[np.uint8], lines: Array, colour: Colour, width: int) -> None:
     """Draw lines (L, P, 2) of pixels; those with a point that is not visible are left out."""
     import cv2
 
@@ -155,7 +156,7 @@ def _lines(canvas: NDArray[np.uint8], lines: NDArray[np.float64], colour: Colour
     cv2.polylines(canvas, paths, isClosed=False, color=colour, thickness=width, lineType=cv2.LINE_AA, shift=sharp)
 
 
-def _dots(canvas: NDArray[np.uint8], points: NDArray[np.float64], colour: Colour) -> None:
+def _dots(canvas: NDArray[np.uint8], points: Array, colour: Colour) -> None:
     """Put pixels (N, 2) onto the canvas; those outside are left out."""
     column, row = np.rint(points).astype(np.int64).T
     inside = (column >= 0) & (column < canvas.shape[1]) & (row >= 0) & (row < canvas.shape[0])

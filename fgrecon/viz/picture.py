@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Iteration, Status
 from fgrecon.core.text import whole_text
@@ -44,9 +45,9 @@ CELL_ASPECT = 1.5
 class _Moment:
     """An estimate at one moment of the optimisation."""
 
-    camera_T_object: NDArray[np.float64]
-    keypoints: NDArray[np.float64]
-    weights: NDArray[np.float64]
+    camera_T_object: Array
+    keypoints: Array
+    weights: Array
 
     @classmethod
     def of(cls, step: Iteration) -> _Moment:

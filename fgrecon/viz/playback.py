@@ -11,6 +11,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.reconstruction import Iteration
 from fgrecon.core.vehicle_mesh import Side
 from fgrecon.viz import entities, style
@@ -116,12 +117,12 @@ class Rows:
         return tuple(step for play in self.plays for step in play.steps)
 
     @cached_property
-    def detected(self) -> NDArray[np.float64]:
+    def detected(self) -> Array:
         """(n, K, 2) detected keypoints of each step's frame, pixels; NaN where not measured."""
         return np.repeat([play.vehicle.observation.keypoints for play in self.plays], self._counts, axis=0)
 
     @cached_property
-    def weights(self) -> NDArray[np.float64]:
+    def weights(self) -> Array:
         """(n, K) weights."""
         return np.array([step.weights for step in self.steps])
 
@@ -131,28 +132,28 @@ class Rows:
         return style.weight_colours(self.weights)
 
     @cached_property
-    def coefficients(self) -> NDArray[np.float64]:
+    def coefficients(self) -> Array:
         """(n, N) coefficients."""
         return np.array([step.coefficients for step in self.steps])
 
     @cached_property
-    def poses(self) -> NDArray[np.float64]:
+    def poses(self) -> Array:
         """(n, 4, 4) poses `camera_T_object`."""
         return np.array([step.camera_T_object for step in self.steps])
 
     @cached_property
-    def keypoints(self) -> NDArray[np.float64]:
+    def keypoints(self) -> Array:
         """(n, K, 3) keypoints in the object frame."""
         return np.array([step.keypoints for step in self.steps])
 
     @cached_property
-    def keypoints_in_camera(self) -> NDArray[np.float64]:
+    def keypoints_in_camera(self) -> Array:
         """(n, K, 3) keypoints in the camera frame."""
-        in_camera: NDArray[np.float64] = self.keypoints @ self.poses[:, :3, :3].transpose(0, 2, 1)
+        in_camera: Array = self.keypoints @ self.poses[:, :3, :3].transpose(0, 2, 1)
         return in_camera + self.poses[:, None, :3, 3]
 
     @cached_property
-    def pixels(self) -> NDArray[np.float64]:
+    def pixels(self) -> Array:
         """(n, K, 2) where the real image shows the wireframe; NaN where it does not."""
         parts = np.split(self.keypoints_in_camera, np.cumsum(self._counts)[:-1])
         pairs = zip(self.plays, parts, strict=True)
@@ -183,7 +184,7 @@ class Rows:
         """Send component columns with one row per step."""
         self.plays[0].stream.send_columns(entity, self.time_columns, columns)
 
-    def strips(self, entity: str, archetype: Any, strips: NDArray[np.float64]) -> None:
+    def strips(self, entity: str, archetype: Any, strips: Array) -> None:
         """Send line strips (n, S, P, D), one batch per step; strips with a point that is not finite are left out."""
         self.send(entity, strip_columns(archetype, strips))
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.vehicle_mesh import Colour, keypoint_sides
 from fgrecon.viz import entities, style
@@ -41,13 +41,13 @@ class PlotSink:
         colours = tuple(style.energy_colour(name, i) for i, name in enumerate((*terms, entities.TOTAL)))
         self._send(entities.ENERGY, values, (*terms, entities.TOTAL), colours)
 
-    def weights(self, weights: NDArray[np.float64], result: Reconstruction) -> None:
+    def weights(self, weights: Array, result: Reconstruction) -> None:
         """Weights (n, K) of the keypoints of a result."""
         sides = keypoint_sides(result.shape.keypoint_names, result.wireframe)
         names = tuple(name.replace("_", " ") for name in result.shape.keypoint_names)
         self._send(entities.WEIGHTS, weights, names, style.series_colours(sides))
 
-    def coefficients(self, coefficients: NDArray[np.float64]) -> None:
+    def coefficients(self, coefficients: Array) -> None:
         """Coefficients (n, N) of the shape."""
         numbers = range(coefficients.shape[1])
         names = tuple(f"lambda {j + 1}" for j in numbers)
@@ -60,9 +60,7 @@ class PlotSink:
             what, _, unit = measure.rpartition("_")
             self._send(f"{entities.ERROR}/{measure}", values, (f"{what} [{unit}]",), (style.categorical(index),))
 
-    def _send(
-        self, entity: str, values: NDArray[np.float64], names: tuple[str, ...], colours: tuple[Colour, ...]
-    ) -> None:
+    def _send(self, entity: str, values: Array, names: tuple[str, ...], colours: tuple[Colour, ...]) -> None:
         """Series (n, M) of one entity; the total is a thinner line."""
         if values.shape[1]:
             widths = tuple(1.0 if name == entities.TOTAL else 2.0 for name in names)

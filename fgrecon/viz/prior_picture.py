@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Side, edge_sides, keypoint_sides
@@ -70,25 +71,25 @@ def prior_picture(prior: ShapePrior, modes: int | None = None) -> Any:
     return figure
 
 
-def _extremes(prior: ShapePrior, count: int) -> NDArray[np.float64]:
+def _extremes(prior: ShapePrior, count: int) -> Array:
     """(2, count + 1, K, 3) shapes at -2 and +2 of the mean (no change) and of each mode."""
     change = np.concatenate([np.zeros((1, *prior.mean.shape)), prior.basis[:count]])
     return prior.mean + MODE_RANGE * np.array([-1.0, 1.0])[:, None, None, None] * change
 
 
-def _flat(points: NDArray[np.float64], view: tuple[int, int, int, int]) -> NDArray[np.float64]:
+def _flat(points: Array, view: tuple[int, int, int, int]) -> Array:
     across, up, sign_across, sign_up = view
     return np.stack([sign_across * points[..., across], sign_up * points[..., up]], axis=-1)
 
 
-def _limits(extremes: NDArray[np.float64], view: tuple[int, int, int, int]) -> tuple[NDArray[np.float64], float]:
+def _limits(extremes: Array, view: tuple[int, int, int, int]) -> tuple[Array, float]:
     flat = _flat(extremes, view).reshape(-1, 2)
     low, high = flat.min(axis=0), flat.max(axis=0)
     half = 0.55 * max(float(high[0] - low[0]), float(high[1] - low[1]) * _CELL[0] / (0.82 * _CELL[1]))
     return 0.5 * (low + high), half
 
 
-def _frame(axes: Any, centre: NDArray[np.float64], half: float) -> None:
+def _frame(axes: Any, centre: Array, half: float) -> None:
     ratio = 0.82 * _CELL[1] / _CELL[0]
     axes.set_xlim(centre[0] - half, centre[0] + half)
     axes.set_ylim(centre[1] - half * ratio, centre[1] + half * ratio)
@@ -101,7 +102,7 @@ def _frame(axes: Any, centre: NDArray[np.float64], half: float) -> None:
 def _draw_cell(
     axes: Any,
     prior: ShapePrior,
-    extremes: NDArray[np.float64],
+    extremes: Array,
     view: tuple[int, int, int, int],
     edges: dict[Side, NDArray[np.int64]],
     *,

@@ -10,6 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.vehicle_mesh import SIDE_COLOURS, SURFACE, edge_sides, keypoint_sides
 from fgrecon.viz.prior_picture import MODE_RANGE
@@ -48,7 +49,7 @@ def _blueprint() -> Any:
     )
 
 
-def _coefficients(prior: ShapePrior) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _coefficients(prior: ShapePrior) -> tuple[NDArray[np.int64], Array]:
     """(T,) mode that moves at each step and (T, N) coefficients: the mean, then a full swing of each mode."""
     swing = MODE_RANGE * np.sin(np.linspace(0.0, 2.0 * np.pi, _STEPS + 1))
     modes, rows = [0], [np.zeros(prior.dimension)]

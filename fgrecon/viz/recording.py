@@ -14,6 +14,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.geometry import transform
 from fgrecon.core.history import Alternative
@@ -273,8 +274,8 @@ def _log_points(play: Playback) -> None:
 def log_ellipsoids(
     play: Playback,
     entity: str,
-    centres: NDArray[np.float64],
-    covariances: NDArray[np.float64],
+    centres: Array,
+    covariances: Array,
     *,
     line_radii: float,
     deviations: float = 1.0,
@@ -288,9 +289,7 @@ def log_ellipsoids(
     play.at_result(entity, [*sizes, *places])
 
 
-def _log_mesh(
-    play: Playback, entity: str, vertices: NDArray[np.float64], faces: NDArray[np.int64], colour: tuple[int, ...]
-) -> None:
+def _log_mesh(play: Playback, entity: str, vertices: Array, faces: NDArray[np.int64], colour: tuple[int, ...]) -> None:
     play.once(entity, rr.Mesh3D, albedo_factor=colour)
     normals = vertex_normals(vertices, faces)
     corners = rr.Mesh3D.columns(vertex_positions=vertices, vertex_normals=normals).partition([len(vertices)])

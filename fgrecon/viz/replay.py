@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Iteration
 from fgrecon.core.text import whole_text
@@ -37,9 +38,9 @@ class Series:
     names: tuple[str, ...]  # M names of its series, as in the legend
     timeline: str  # what `times` counts: `step`, or for numbers by frame of a track or video `frame`
     times: NDArray[np.int64]  # (n,) increasing
-    values: NDArray[np.float64]  # (n, M) numbers; NaN where a series has none
+    values: Array  # (n, M) numbers; NaN where a series has none
 
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
+    def __getitem__(self, name: str) -> Array:
         """(n,) values of the series of a name.
 
         Raises:
@@ -263,5 +264,5 @@ def _joint_step(fields: Mapping[str, Any]) -> JointStep:
     )
 
 
-def _array(numbers: Sequence[float], *shape: int) -> NDArray[np.float64]:
+def _array(numbers: Sequence[float], *shape: int) -> Array:
     return np.array(numbers, dtype=np.float64).reshape(shape)

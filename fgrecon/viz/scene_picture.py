@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
@@ -119,7 +120,7 @@ def _compose(image: NDArray[np.uint8] | None, scene: DrawnScene, *, beside: bool
     return figure
 
 
-def _filled(extent: NDArray[np.float64], aspect: float) -> NDArray[np.float64]:
+def _filled(extent: Array, aspect: float) -> Array:
     """The extent widened, or made longer ahead, until it has an aspect."""
     (left, near), (right, far) = extent
     missing = (far - near) * aspect - (right - left)
@@ -192,9 +193,7 @@ def _draw_ground(axes: Any, scene: DrawnScene, ground: Ground, depth: DepthImage
     draw_paths(axes, visible, style.INK, 0.5, (0, (6.0, 2.5, 1.0, 2.5)), zorder=1)
 
 
-def _draw_box(
-    axes: Any, vehicle: DrawnVehicle, corners: NDArray[np.float64], camera: Camera, depth: DepthImage
-) -> None:
+def _draw_box(axes: Any, vehicle: DrawnVehicle, corners: Array, camera: Camera, depth: DepthImage) -> None:
     """The box of a vehicle with corners (8, 3), and the true one; what is hidden of it is faint."""
     assert vehicle.result is not None
     colour = style.categorical(vehicle.identity)

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import position_covariance
@@ -82,7 +82,7 @@ def _log_place(out: Outbox, members: Sequence[Member], ground: Ground | None) ->
         out.send_columns(entities.GROUND, [], [*look, *strip_columns(rr.LineStrips3D, lines[None])])
 
 
-def _evenly(far: float) -> NDArray[np.float64]:
+def _evenly(far: float) -> Array:
     """Where lines across the ground are."""
     return _SPACING * np.arange(1, max(np.ceil(far / _SPACING), 1) + 1)
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.vehicle_mesh import Colour
 from fgrecon.viz import style
@@ -108,7 +108,7 @@ def _detail(vehicle: DrawnVehicle) -> str:
     return ", ".join(part for part in (f"{size} m", vehicle.words or vehicle.posed[0].status.value) if part)
 
 
-def _errors(vehicle: DrawnVehicle, start: NDArray[np.float64] | None) -> tuple[str, ...]:
+def _errors(vehicle: DrawnVehicle, start: Array | None) -> tuple[str, ...]:
     """Errors of position and yaw, from the start to the result where that is given."""
     if vehicle.posed is None or vehicle.truth is None:
         return ("", "")

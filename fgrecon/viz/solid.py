@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.vehicle_mesh import SURFACE, Side
@@ -74,7 +75,7 @@ def draw_from_above(
     draw_grid(axes)
 
 
-def _view(azimuth: float, elevation: float) -> NDArray[np.float64]:
+def _view(azimuth: float, elevation: float) -> Array:
     """(3, 3) object axes to (right, up, towards the eye); azimuth 0 looks at the nose, positive from the left."""
     towards = np.array([np.cos(azimuth) * np.cos(elevation), -np.sin(elevation), np.sin(azimuth) * np.cos(elevation)])
     up = np.array([0.0, -1.0, 0.0]) - (np.array([0.0, -1.0, 0.0]) @ towards) * towards
@@ -82,7 +83,7 @@ def _view(azimuth: float, elevation: float) -> NDArray[np.float64]:
     return np.stack([np.cross(up, towards), up, towards])
 
 
-def _shade(axes: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
+def _shade(axes: Any, vertices: Array, faces: NDArray[np.int64]) -> None:
     """Triangles in (right, up, towards the eye), far ones first, lit from above the eye's left shoulder."""
     from matplotlib.collections import PolyCollection
 

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Colour, Side, edge_sides, keypoint_sides
 
@@ -105,7 +106,7 @@ def weight_colours(weights: ArrayLike) -> NDArray[np.uint8]:
     return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
 
 
-def weight_radii(weights: ArrayLike, smallest: float = 2.5, largest: float = 6.0) -> NDArray[np.float64]:
+def weight_radii(weights: ArrayLike, smallest: float = 2.5, largest: float = 6.0) -> Array:
     """(...) radii of weights (...): the disc's area grows linearly with the weight; NaN counts as 0."""
     values = np.clip(np.nan_to_num(np.asarray(weights, dtype=np.float64)), 0.0, 1.0)
     return np.sqrt(smallest**2 + (largest**2 - smallest**2) * values)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite, as_rigid, as_shape, own
 from fgrecon.core.errors import InvalidInputError
@@ -40,9 +41,9 @@ class Truth:
         keypoints: (K, 3) true keypoints in the object frame, metres, or None; NaN rows are not known.
     """
 
-    camera_T_object: NDArray[np.float64]
-    box_size: NDArray[np.float64] | None = None
-    keypoints: NDArray[np.float64] | None = None
+    camera_T_object: Array
+    box_size: Array | None = None
+    keypoints: Array | None = None
 
     def __post_init__(self) -> None:
         """Check the arrays.
@@ -60,7 +61,7 @@ class Truth:
         if self.keypoints is not None:
             object.__setattr__(self, "keypoints", own(as_shape("truth.keypoints", self.keypoints, (None, 3))))
 
-    def errors(self, camera_T_object: NDArray[np.float64], keypoints: NDArray[np.float64]) -> Mapping[str, float]:
+    def errors(self, camera_T_object: Array, keypoints: Array) -> Mapping[str, float]:
         """How far an estimate is from the truth.
 
         Args:
@@ -205,17 +206,17 @@ class DrawnVehicle:
     """
 
     identity: int
-    box: NDArray[np.float64]
+    box: Array
     result: Reconstruction | None = None
     words: str = ""
-    trail: NDArray[np.float64] | None = None
+    trail: Array | None = None
     name: str = ""
     truth: Truth | None = None
     model: VehicleMesh | None = None
     detection: str = ""
 
     @property
-    def pose(self) -> NDArray[np.float64] | None:
+    def pose(self) -> Array | None:
         """(4, 4) `camera_T_object`, or None where it has no pose, or none that the keypoints determine."""
         if self.result is None or not self.result.status.determined:
             return None
@@ -223,7 +224,7 @@ class DrawnVehicle:
         return pose if np.isfinite(pose).all() else None
 
     @property
-    def posed(self) -> tuple[Reconstruction, NDArray[np.float64]] | None:
+    def posed(self) -> tuple[Reconstruction, Array] | None:
         """Result and pose, or None where there is no pose."""
         return None if self.result is None or (pose := self.pose) is None else (self.result, pose)
 
@@ -250,7 +251,7 @@ class DrawnScene:
     size: tuple[float, float]  # width and height of its image, pixels
     ground: Ground | None = None  # the ground plane; without one the camera is taken for level
     # (4, 4) first estimates of poses, by id, where they are shown
-    starts: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
+    starts: Mapping[int, Array] = field(default_factory=dict)
 
     @property
     def crowded(self) -> bool:
@@ -258,7 +259,7 @@ class DrawnScene:
         return len(self.vehicles) > _FEW
 
     @cached_property
-    def posed(self) -> list[tuple[DrawnVehicle, Reconstruction, NDArray[np.float64]]]:
+    def posed(self) -> list[tuple[DrawnVehicle, Reconstruction, Array]]:
         """The vehicles that have a pose, with result and pose."""
         return [(vehicle, *vehicle.posed) for vehicle in self.vehicles if vehicle.posed is not None]
 
@@ -319,7 +320,7 @@ class RecordedFrame:
     image: NDArray[np.uint8] | None  # (H, W, 3) RGB bytes, or None
     vehicles: tuple[DrawnVehicle, ...] = ()  # what it shows
     # (4, 4) pose of the camera; None takes the camera's frame for the world
-    world_T_camera: NDArray[np.float64] | None = None
+    world_T_camera: Array | None = None
     problem: str | None = None  # why it could not be read, or None
     # what is plotted of each vehicle, by its id: name and numbers, such as a value and its band
     values: Mapping[int, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)

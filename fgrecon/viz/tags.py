@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.geometry import box_around
 from fgrecon.core.vehicle_mesh import Colour
 from fgrecon.viz import style
@@ -27,13 +27,13 @@ class Plates:
     axes: Any  # the panel
     size: float  # font size in points
     # (4,) rectangles x1, y1, x2, y2 in points that no plate is to cover
-    taken: list[NDArray[np.float64]] = field(default_factory=list)
+    taken: list[Array] = field(default_factory=list)
 
-    def keep_free(self, points: NDArray[np.float64]) -> None:
+    def keep_free(self, points: Array) -> None:
         """Let no plate cover the rectangle around points (n, 2) of the axes' own coordinates."""
         self.taken.append(box_around(self._points(points)))
 
-    def put(self, text: str, outline: NDArray[np.float64], towards: Iterable[Place], colour: Colour) -> None:
+    def put(self, text: str, outline: Array, towards: Iterable[Place], colour: Colour) -> None:
         """Put a plate near what it names, where it covers least; a line leads to it from farther away.
 
         The plate is sought around the mean of the outline (n, 2), in the axes' own coordinates, in directions (right,
@@ -61,13 +61,13 @@ class Plates:
         look |= {"ha": "center", "va": "center_baseline", "fontsize": self.size, "parse_math": False}
         self.axes.text(*self._coordinates(middle[None])[0], text, **look)
 
-    def _covered(self, middle: NDArray[np.float64], half: NDArray[np.float64]) -> float:
+    def _covered(self, middle: Array, half: Array) -> float:
         """Square points of what is taken that a plate would cover."""
         taken = np.array(self.taken).reshape(-1, 4)
         shared = np.minimum(taken[:, 2:], middle + half) - np.maximum(taken[:, :2], middle - half)
         return float(np.prod(np.maximum(shared, 0.0), axis=1).sum())
 
-    def _nearer_another(self, middle: NDArray[np.float64], named: NDArray[np.float64]) -> bool:
+    def _nearer_another(self, middle: Array, named: Array) -> bool:
         """Whether a plate would be nearer to something else than to points (n, 2) of what it names."""
         taken, at = np.array(self.taken).reshape(-1, 4), named.mean(axis=0)
         others = taken[~((taken[:, :2] <= at) & (at <= taken[:, 2:])).all(axis=1)]
@@ -75,14 +75,14 @@ class Plates:
         own = np.linalg.norm(named - middle, axis=1).min()
         return bool((np.linalg.norm(aside, axis=1) < own).any())
 
-    def _extent(self) -> NDArray[np.float64]:
+    def _extent(self) -> Array:
         """(2,) size of the panel in points."""
         return self.axes.get_position().size * self.axes.figure.get_size_inches() * 72.0
 
-    def _points(self, coordinates: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _points(self, coordinates: Array) -> Array:
         (x1, x2), (y1, y2) = self.axes.get_xlim(), self.axes.get_ylim()
         return (coordinates - (x1, y1)) / (x2 - x1, y2 - y1) * self._extent()
 
-    def _coordinates(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _coordinates(self, points: Array) -> Array:
         (x1, x2), (y1, y2) = self.axes.get_xlim(), self.axes.get_ylim()
         return points / self._extent() * (x2 - x1, y2 - y1) + (x1, y1)

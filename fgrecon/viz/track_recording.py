@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.core.vehicle_mesh import Colour
 from fgrecon.viz import entities, style
@@ -175,9 +175,7 @@ def _log_paths(whole: _Track) -> None:
         _log_path(whole, entities.TRUE_PATH, true, whole.known, style.TRUTH)
 
 
-def _log_path(
-    whole: _Track, entity: str, points: NDArray[np.float64], plays: Sequence[Playback], colour: Colour
-) -> None:
+def _log_path(whole: _Track, entity: str, points: Array, plays: Sequence[Playback], colour: Colour) -> None:
     whole.stream.send_fixed(entity, **line_style(3, colour, 1.5))
     columns = rr.LineStrips3D.columns(strips=[points[: end + 1] for end in range(len(points))])
     whole.stream.send_columns(entity, _frame_times(plays), columns)

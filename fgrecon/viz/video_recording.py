@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.core.text import whole_text
@@ -133,7 +133,7 @@ class _FrameLog:
             for archetype in graph_archetypes(lay_out(frame.window)):
                 log(entities.GRAPH, archetype)
 
-    def _log_vehicles(self, vehicles: Sequence[DrawnVehicle], world_T_camera: NDArray[np.float64]) -> None:
+    def _log_vehicles(self, vehicles: Sequence[DrawnVehicle], world_T_camera: Array) -> None:
         """Boxes, wireframes, headings and paths of the vehicles that have a pose."""
         flat, solid, noses, trails = [], [], [], []  # of each vehicle
         for vehicle in vehicles:
@@ -148,7 +148,7 @@ class _FrameLog:
             trails.append([] if trail is None or len(trail) < 2 else [transform(world_T_camera, trail)])
         colours = np.array([style.categorical(vehicle.identity) for vehicle in vehicles], np.uint8).reshape(-1, 3)
 
-        def look(strips: list[list[NDArray[np.float64]]]) -> dict[str, Any]:
+        def look(strips: list[list[Array]]) -> dict[str, Any]:
             return {
                 "radii": -1.0,
                 "strips": list(chain.from_iterable(strips)),
@@ -170,7 +170,7 @@ class _FrameLog:
         self._stream.log(f"{entities.WORLD}/paths", rr.LineStrips3D(**look(trails)))
         self._log_points(vehicles, world_T_camera)
 
-    def _log_points(self, vehicles: Sequence[DrawnVehicle], world_T_camera: NDArray[np.float64]) -> None:
+    def _log_points(self, vehicles: Sequence[DrawnVehicle], world_T_camera: Array) -> None:
         """The points of other sensors, of a video that has any; those of the frame before go."""
         known = [v.result.diagnostics for v in vehicles if v.result is not None and len(v.result.diagnostics.points)]
         self._has_points = self._has_points or bool(known)
