@@ -38,11 +38,7 @@ class LabelFolder:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Read what there is.
-
-        Raises:
-            InvalidInputError: It is no folder with images, or its labels are of another format or category.
-        """
+        """Read what there is."""
         if not folder.is_dir():
             raise InvalidInputError("label", str(folder), "Give a folder of images.")
         self.folder = folder
@@ -93,11 +89,7 @@ class LabelFolder:
                 self.judged[name] = Judgement(float("inf"), str(error))
 
     def save(self, name: str, labels: Sequence[VehicleLabel]) -> Path:
-        """Put the labels of an image in the place of those it had, and write the file.
-
-        Raises:
-            InvalidInputError: It cannot be written.
-        """
+        """Put the labels of an image in the place of those it had, and write the file."""
         place, number = (self.folder / name).resolve(), self.images.index(name)
         path, drive = self.folder / name, self.folder.resolve().name
         kept = [label for label in self._all.vehicles if label.image.path.resolve() != place]

@@ -32,11 +32,7 @@ class Judgement:
 
 
 def judge(folder: Path, uploaded: Uploaded, requested: Requested) -> Judgement:
-    """What the graph disagrees with in a photograph, of given keypoints or of those that the networks detect.
-
-    Raises:
-        InvalidInputError: A file or a value cannot be used.
-    """
+    """What the graph disagrees with in a photograph, of given keypoints or of those that the networks detect."""
     try:
         outcomes = solve(folder, uploaded, requested, history=False).outcomes
     except InvalidInputError as error:
@@ -62,9 +58,6 @@ def labels_of(folder: Path, uploaded: Uploaded, requested: Requested) -> tuple[l
 
     Returns:
         The labels, of an image of the uploaded file's name; and the names of cars that have none, for want of a pose.
-
-    Raises:
-        InvalidInputError: A file or a value cannot be used.
     """
     outcomes = solve(folder, uploaded, requested, history=False).outcomes
     name = uploaded.photograph or uploaded.main

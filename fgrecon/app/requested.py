@@ -55,11 +55,7 @@ class Requested:
 
     @classmethod
     def of(cls, items: Iterable[tuple[str, str]]) -> Self:
-        """From the items of a query.
-
-        Raises:
-            InvalidInputError: A name is none of the entries, is given twice, or a text is none that it can be.
-        """
+        """From the items of a query."""
         given: dict[str, Any] = {}
         known = {entry.name: entry for entry in fields(cls)}
         for name, text in items:
@@ -95,11 +91,7 @@ class Requested:
         return self.history == "yes"
 
     def source(self) -> CameraSource:
-        """What is given of the camera.
-
-        Raises:
-            InvalidInputError: It is no camera.
-        """
+        """What is given of the camera."""
         counts = (4, 5, 8, 12, 14)
         return CameraSource(
             intrinsics=self._numbers("intrinsics", "fx,fy,cx,cy: four numbers in pixels", (4,)),
@@ -107,19 +99,11 @@ class Requested:
         )
 
     def boxes(self) -> list[list[float]]:
-        """(N, 4) the given boxes.
-
-        Raises:
-            InvalidInputError: One is none.
-        """
+        """(N, 4) the given boxes."""
         return [parse_numbers("box", text, "x1,y1,x2,y2: four numbers in pixels", (4,)) for text in self.box]
 
     def number(self, name: str, lowest: float = 0.0, highest: float = 1.0) -> float | None:
-        """An entry that is a number; None where it is not given.
-
-        Raises:
-            InvalidInputError: It is none, or outside of the limits.
-        """
+        """An entry that is a number; None where it is not given."""
         text = getattr(self, name)
         if not text:
             return None
@@ -130,11 +114,7 @@ class Requested:
         return value
 
     def settings(self, *, history: bool | None = None) -> RunSettings:
-        """What holds for every vehicle; steps are kept where that is said, else as requested.
-
-        Raises:
-            InvalidInputError: A value cannot be used.
-        """
+        """What holds for every vehicle; steps are kept where that is said, else as requested."""
         height = self.number("camera_height", 0.0, math.inf)
         plane = parse_ground(self.ground or None, height)
         options = Options(
@@ -170,11 +150,7 @@ class PageRequested(Requested):
     end: str = _entry("End so many seconds after the first frame.")
 
     def frames(self) -> dict[str, Any]:
-        """Which frames of a video are taken, as `fgrecon.video.video_job.VideoRequest` has it.
-
-        Raises:
-            InvalidInputError: A value is no number, or outside of the limits.
-        """
+        """Which frames of a video are taken, as `fgrecon.video.video_job.VideoRequest` has it."""
         every = self.number("every", 1.0, _MOST)
         if every is not None and every != round(every):
             raise InvalidInputError("every", self.every, "Give a whole number.")

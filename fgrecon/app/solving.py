@@ -54,9 +54,6 @@ def solve(folder: Path, uploaded: Uploaded, requested: Requested, *, history: bo
         folder: Where the files are.
         uploaded: Their names.
         history: Whether steps are kept; None for what is requested.
-
-    Raises:
-        InvalidInputError: A file or a value cannot be used.
     """
     with without_folder(folder), python_warnings.catch_warnings():
         python_warnings.simplefilter("ignore", ContradictoryInputWarning)  # `SolvedFile.warnings` says it

@@ -125,9 +125,6 @@ def track_upload(folder: Path, name: str, out: Path, requested: PageRequested) -
     Args:
         folder: Where it is.
         out: Where its results are left.
-
-    Raises:
-        InvalidInputError: The video or a value cannot be used.
     """
     if hasattr(os, "setpriority"):
         os.setpriority(os.PRIO_PROCESS, 0, _NICE)

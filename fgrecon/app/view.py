@@ -101,9 +101,6 @@ def view_of(folder: Path, uploaded: Uploaded, requested: Requested, models: Path
         folder: Where the files are.
         uploaded: Their names.
         models: Car models that cars are compared with, a folder or file; or None.
-
-    Raises:
-        InvalidInputError: A file or a value cannot be used.
     """
     try:
         solved = solve(folder, uploaded, requested, history=True)
@@ -156,11 +153,7 @@ def _without_cars(photograph: Path, words: str) -> PageView:
 
 
 def picture_of(folder: Path, uploaded: Uploaded, requested: Requested) -> bytes:
-    """The picture of `fgrecon reconstruct --picture` as PNG.
-
-    Raises:
-        InvalidInputError: A file or a value cannot be used.
-    """
+    """The picture of `fgrecon reconstruct --picture` as PNG."""
     solved = solve(folder, uploaded, requested, history=False)
     camera = solved.outcomes[0].task.camera
     figure = scene_picture(solved.read.source.image, drawn_of(solved.outcomes), camera, ground=solved.ground)
@@ -168,11 +161,7 @@ def picture_of(folder: Path, uploaded: Uploaded, requested: Requested) -> bytes:
 
 
 def recording_of_upload(folder: Path, uploaded: Uploaded, requested: Requested) -> bytes:
-    """The recording of `fgrecon reconstruct --save`, for rerun's viewer.
-
-    Raises:
-        InvalidInputError: A file or a value cannot be used.
-    """
+    """The recording of `fgrecon reconstruct --save`, for rerun's viewer."""
     solved = solve(folder, uploaded, requested, history=True)
     image = solved.outcomes[0].task.instance.image
     made = recordings(solved.outcomes, solved.read.source.image, {image: solved.ground})

@@ -27,11 +27,7 @@ from fgrecon.perception.boxes import GivenBoxes
 def instances_in_boxes(
     folder: Path, photograph: str, boxes: Sequence[Sequence[float]], requested: Requested
 ) -> list[dict[str, Any]]:
-    """A vehicle in each box x1, y1, x2, y2 of a photograph, as a keypoint file has it.
-
-    Raises:
-        InvalidInputError: The photograph or a box cannot be used.
-    """
+    """A vehicle in each box x1, y1, x2, y2 of a photograph, as a keypoint file has it."""
     path = folder / photograph
     with without_folder(folder):
         how = KeypointRequest(load_prior(requested.prior or "car14").category)

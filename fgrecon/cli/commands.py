@@ -1,7 +1,7 @@
 """Commands as parts of the command line: groups of options as one parameter.
 
-A parameter of a command whose type is a dataclass stands for its fields: each is an `option`, or has an annotation of
-typer that several commands share, or is a dataclass of further options. So a command gets its whole request as one value.
+A parameter of a command whose type is a dataclass stands for its fields: each is an `option`, or an annotation of typer
+that several commands share, or a dataclass of further options. So a command gets its whole request as one value.
 """
 
 from __future__ import annotations

@@ -170,9 +170,6 @@ class CameraOptions:
 
         Args:
             scale_to_image: Whether keypoints and boxes of a file of another size are scaled to the image's.
-
-        Raises:
-            InvalidInputError: A value is none, or several ways are used.
         """
         from fgrecon.io.cameras.camera_source import CameraSource
 
@@ -193,11 +190,7 @@ class CameraOptions:
 
 
 def parse_crop(text: str) -> PartOfImage:
-    """What `--crop` says.
-
-    Raises:
-        InvalidInputError: It is not two or four numbers, or no part of an image.
-    """
+    """What `--crop` says."""
     from fgrecon.io.cameras.camera_source import PartOfImage
 
     expected = "left,top or left,top,width,height: the part's corner, and the size of the whole image, in pixels"
@@ -240,9 +233,6 @@ class SceneOptions:
         Args:
             options: How they are solved, without what is said here.
             classes: Who says of which class they are, or None.
-
-        Raises:
-            InvalidInputError: A value names nothing, or both a plane and a height are given.
         """
         from fgrecon.io.run_settings import RunSettings
 
@@ -278,11 +268,7 @@ class LabelledScene:
     )
 
     def plane(self) -> tuple[Ground, str]:
-        """The ground plane, and in words where it comes from.
-
-        Raises:
-            InvalidInputError: Both a plane and a height are given, or one is not a plane.
-        """
+        """The ground plane, and in words where it comes from."""
         from fgrecon.core.camera import Ground
 
         return parse_ground(self.ground, self.camera_height) or (
@@ -291,11 +277,7 @@ class LabelledScene:
         )
 
     def scene(self) -> SceneKnowledge:
-        """The scene as methods are bound to it, whose names say what each knows of it.
-
-        Raises:
-            InvalidInputError: A value names nothing.
-        """
+        """The scene as methods are bound to it, whose names say what each knows of it."""
         from fgrecon.calibration.setup import SceneKnowledge
         from fgrecon.io.catalogue import load_prior, load_size_prior
 
@@ -304,11 +286,7 @@ class LabelledScene:
         )
 
     def given(self) -> GivenScene:
-        """What is given to the whole system of images: ground and fleet may be none.
-
-        Raises:
-            InvalidInputError: A value names nothing.
-        """
+        """What is given to the whole system of images: ground and fleet may be none."""
         from fgrecon.calibration.labelled_drives import GivenScene
 
         groundless = self.ground == NOT_GIVEN
@@ -345,22 +323,14 @@ class VehicleBoxes:
     weights: WeightsOption = None
 
     def source(self) -> GivenBoxes:
-        """Where the boxes are from.
-
-        Raises:
-            InvalidInputError: Several of the ways are given, or a box is none.
-        """
+        """Where the boxes are from."""
         from fgrecon.perception.boxes import GivenBoxes
 
         given = [parse_numbers("box", text, "x1,y1,x2,y2: four numbers in pixels", (4,)) for text in self.box or ()]
         return GivenBoxes(given, self.boxes, self.detect, self.min_score)
 
     def refuse(self, file: Path) -> None:
-        """Refuse what means nothing for a file that is no image.
-
-        Raises:
-            InvalidInputError: Something is given.
-        """
+        """Refuse what means nothing for a file that is no image."""
         from fgrecon.io.images import IMAGES, refuse_unread
 
         refuse_unread(file, "file")
@@ -383,11 +353,7 @@ class BoxErrorOptions:
     flipped_share: float = option("Share of boxes with a heading flip.", default=0.05)
 
     def errors(self) -> BoxErrors:
-        """They, as the solver takes them.
-
-        Raises:
-            InvalidInputError: A number is out of range.
-        """
+        """They, as the solver takes them."""
         from fgrecon.core.box3d import BoxErrors
 
         return BoxErrors(
@@ -430,11 +396,7 @@ class DriveOptions:
     jobs: int = option("Processes.", default=1, min=1)
 
     def request(self, folders: Sequence[Path], labelled: LabelledScene) -> DriveRequest:
-        """What is requested of the drives in some folders.
-
-        Raises:
-            InvalidInputError: A value of the scene names nothing.
-        """
+        """What is requested of the drives in some folders."""
         from fgrecon.calibration.labelled_drives import DriveRequest
 
         options = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "fold"}
@@ -449,11 +411,7 @@ class DriveOptions:
         read: Callable[[Path], Drive] | None = None,
         rivals: Callable[[SceneKnowledge], Callable[[], Rivals]] | None = None,
     ) -> ScoredDrives:
-        """Reconstruct the labelled boxes that count, and score them; see `fgrecon.calibration.labelled_drives`.
-
-        Raises:
-            InvalidInputError: As `score_drives` raises it.
-        """
+        """Reconstruct the labelled boxes that count, and score them; see `fgrecon.calibration.labelled_drives`."""
         from fgrecon.calibration.labelled_drives import score_drives
         from fgrecon.io.datasets import open_drive
 

@@ -24,9 +24,6 @@ def check_apart(values: Mapping[str, Any], in_folder: Sequence[str] = ()) -> Non
     Args:
         values: A command's parameters.
         in_folder: Names of the files that it writes into the folder `out`.
-
-    Raises:
-        InvalidInputError: An output is one of the inputs, or another output.
     """
     from fgrecon.core.errors import InvalidInputError
 
@@ -47,11 +44,7 @@ def check_apart(values: Mapping[str, Any], in_folder: Sequence[str] = ()) -> Non
 
 
 def check_outputs(json_out: str | None, *paths: Path | None, picture: Path | None = None) -> None:
-    """`fgrecon.io.files.check_output` for what `--json` names and for further files.
-
-    Raises:
-        InvalidInputError: One cannot be written, or the picture's name has the ending of none.
-    """
+    """`fgrecon.io.files.check_output` for what `--json` names and for further files."""
     from fgrecon.io.files import check_output
 
     for path in (*paths, picture, None if json_out in (None, "-") else Path(str(json_out))):
@@ -71,9 +64,6 @@ def check_not_over(field: str, output: str | Path, inputs: Sequence[str | Path])
         field: Name of the option, for the error.
         output: File to write.
         inputs: Files that are read.
-
-    Raises:
-        InvalidInputError: The output is one of them, by another path or a link as well.
     """
     from fgrecon.core.errors import InvalidInputError
 

@@ -85,11 +85,7 @@ class CarModels:
     )
 
     def read(self, category: Category) -> list[VehicleMesh]:
-        """The models; none where none are requested.
-
-        Raises:
-            InvalidInputError: A file cannot be used, or axes are given but no models.
-        """
+        """The models; none where none are requested."""
         from fgrecon.io.models import read_models
 
         if self.models is not None:
@@ -139,12 +135,7 @@ class ReconstructRequest:
         return self.camera.source(scale_to_image=self.results.scale_to_image)
 
     def check(self) -> None:
-        """Refuse before the work what could not be written or drawn after it.
-
-        Raises:
-            InvalidInputError: An output cannot be written, the animation's ending means no format, or there is a sheet
-                but no picture.
-        """
+        """Refuse before the work what could not be written or drawn after it."""
         from fgrecon.viz.animation import check_format
 
         drawings = self.drawings
@@ -161,10 +152,6 @@ class ReconstructRequest:
         Args:
             of_image: Whether the only or first file is an image.
             several: Whether there may be several images.
-
-        Raises:
-            InvalidInputError: One camera is assumed of what is no set of images solved together, or there are several
-                processes for what one process solves.
         """
         together, joint = self.results.together, self.solving.joint
         if self.results.same_camera and (not several or together is False or not joint):
@@ -182,11 +169,7 @@ class ReconstructRequest:
         return not to_folder and len(files) == 1 and not files[0].is_dir()
 
     def of_files(self, watch: Watch) -> FileRequest:
-        """What is requested of each file.
-
-        Raises:
-            InvalidInputError: A value names nothing, or cannot be used.
-        """
+        """What is requested of each file."""
         from fgrecon.batch.file_service import FileRequest
 
         settings, source = self.settings(), self.source()
@@ -205,11 +188,7 @@ class ReconstructRequest:
         )
 
     def settings(self) -> RunSettings:
-        """What holds for every vehicle.
-
-        Raises:
-            InvalidInputError: A value names nothing.
-        """
+        """What holds for every vehicle."""
         from fgrecon.core.options import Options, ShapeOptions
 
         keep = self.results.history or self.results.pictures or self.drawings.requested or self.delivery.requested

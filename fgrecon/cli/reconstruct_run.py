@@ -33,9 +33,6 @@ def reconstruct_file(files: Sequence[Path], request: ReconstructRequest, screen:
 
     Returns:
         Whether at least one was reconstructed.
-
-    Raises:
-        InvalidInputError: The input cannot be used.
     """
     (file,) = files
     request.check_jobs(of_image=is_image(file), several=False)
@@ -135,9 +132,6 @@ def reconstruct_each(files: Sequence[Path], request: ReconstructRequest, screen:
 
     Returns:
         Whether every photograph gave a vehicle.
-
-    Raises:
-        InvalidInputError: An option is of a single file, the files are no images, or would be written over.
     """
     what = request.of_files(screen.watch)
     targets = _targets(files, request)

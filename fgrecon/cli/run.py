@@ -113,11 +113,7 @@ class RunOptions:
     drawn: DrawnOptions
 
     def request(self, source: str, out: Path) -> VideoRequest:
-        """What is requested of a video.
-
-        Raises:
-            InvalidInputError: A value names nothing, or a frame but no picture is given.
-        """
+        """What is requested of a video."""
         from fgrecon.core.options import Options
         from fgrecon.video.video_job import VideoRequest
 

@@ -61,11 +61,7 @@ class SensorOptions:
     masks: str | None = option("Masks of the vehicles: PNG of ids, named as the images, or COCO JSON.", metavar=_FILES)
 
     def source(self, camera: CameraSource) -> SensorSource | None:
-        """The files as the library takes them; None where none are given.
-
-        Raises:
-            InvalidInputError: Options do not fit one another, or there are no such files.
-        """
+        """The files as the library takes them; None where none are given."""
         from fgrecon.perception.sensor_source import SensorSource
 
         given = vars(self) | {"lidar_sigma": self._place_sigma()}
@@ -80,11 +76,7 @@ class SensorOptions:
         return (math.radians(numbers[0]), float(numbers[1]))
 
     def of_video(self, video: str, camera: CameraSource) -> SensorSource | LidarTopic | None:
-        """The same of a video: beside a bag what is no path is its topic.
-
-        Raises:
-            InvalidInputError: As `source`.
-        """
+        """The same of a video: beside a bag what is no path is its topic."""
         from fgrecon.io.bag import is_bag
         from fgrecon.io.bag_drive import LidarTopic
 

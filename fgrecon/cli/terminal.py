@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +18,7 @@ from fgrecon.core.text import printable, whole_text
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from rich.console import Console, RenderableType
-    from rich.progress import Task
+    from rich.progress import Task, TaskID
     from rich.table import Table
     from rich.text import Text
 
@@ -31,11 +31,18 @@ class Screen:
     """What a command says.
 
     Attributes:
+        quiet: Whether nothing but errors is said: what takes time to make for the terminal need not be made.
         verbose: Whether the user wants to know more.
     """
 
     def __init__(
-        self, json_out: str | None = None, *, error: bool, quiet: bool, verbose: bool, progress: bool | None
+        self,
+        json_out: str | None = None,
+        *,
+        error: bool,
+        quiet: bool,
+        verbose: bool = False,
+        progress: bool | None = False,
     ) -> None:
         """Choose the streams: where the output carries data, all words go to the error stream.
 
@@ -46,28 +53,23 @@ class Screen:
             verbose: Say more.
             progress: Whether progress is shown; None shows it on a terminal.
         """
-        self.verbose = verbose and not quiet
-        self._json, self._error, self._quiet, self._progress = json_out, error or json_out == "-", quiet, progress
+        self.quiet, self.verbose = quiet, verbose and not quiet
+        self._json, self._error, self._progress = json_out, error or json_out == "-", progress
 
     @cached_property
     def console(self) -> Console:
         """Where tables go."""
-        return _console(error=self._error, quiet=self._quiet)
+        return _console(error=self._error, quiet=self.quiet)
 
     @cached_property
     def errors(self) -> Console:
         """The error stream, for what is not part of the result."""
-        return _console(error=True, quiet=self._quiet)
-
-    @property
-    def quiet(self) -> bool:
-        """Whether nothing but errors is said: what takes time to make for the terminal need not be made."""
-        return self._quiet
+        return _console(error=True, quiet=self.quiet)
 
     @property
     def bars(self) -> bool:
         """Whether progress is shown."""
-        return not self._quiet and (self.errors.is_terminal if self._progress is None else self._progress)
+        return not self.quiet and (self.errors.is_terminal if self._progress is None else self._progress)
 
     def print(self, *things: RenderableType) -> None:
         """Print tables, or lines as they are."""
@@ -97,49 +99,34 @@ class Screen:
             self.print(f"Wrote {path}.")
 
     def write_text(self, path: Path | None, text: str) -> None:
-        """Write a file, whole or not at all, and say so; nothing without a path.
-
-        Raises:
-            InvalidInputError: The file cannot be written.
-        """
+        """Write a file, whole or not at all, and say so; nothing without a path."""
         from fgrecon.io.files import write_text
 
         if path is not None:
             self.wrote(write_text(path, text))
 
     def write_output(self, option: str, text: str) -> None:
-        """Write a text to the output, for want of a file that an option gives.
-
-        Raises:
-            InvalidInputError: The output was closed when the program began.
-        """
+        """Write a text to the output, for want of a file that an option gives."""
         if sys.stdout is None:
             raise InvalidInputError(option, "no file, and a closed output", "Give a file.")
         sys.stdout.write(text)
 
     def write_json(self, text: str) -> None:
-        """Write the text of --json to its file, or for `-` to the output; nothing where it is not given.
-
-        Raises:
-            InvalidInputError: The file cannot be written, or the output is closed.
-        """
+        """Write the text of --json to its file, or for `-` to the output; nothing where it is not given."""
         if self._json == "-":
             self.write_output("json", _json_for(getattr(sys.stdout, "encoding", "utf-8"), whole_text(text)))
         elif self._json is not None:
             self.write_text(Path(self._json), text)
 
     def write_document(self, content: Any) -> None:
-        """Write plain values as `write_json` writes a text.
-
-        Raises:
-            InvalidInputError: The file cannot be written.
-        """
+        """Write plain values as `write_json` writes a text."""
         if self._json is not None:
             self.write_json(json.dumps(content, indent=1, allow_nan=False) + "\n")
 
-    def watch(self, things: Sequence[Thing], heading: str) -> Iterable[Thing]:
-        """Go through some things and show how far that has come."""
-        return watched(things, heading, self.errors, shown=self.bars)
+    def watch(self, things: Sequence[Thing], heading: str) -> Iterator[Thing]:
+        """Go through some things and show how far that has come; a single thing is not worth a bar."""
+        with progress_bar(self.errors, shown=self.bars and len(things) > 1) as advance:
+            yield from stepwise(things, heading, advance)
 
     def bar(self, *, per_minute: bool = False) -> AbstractContextManager[Advance]:
         """Bars for work that says how far it has come; see `progress_bar`."""
@@ -156,7 +143,7 @@ class Quiet:
 
     def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:
         """Where the command says it; see `Screen`."""
-        return Screen(json_out, error=error, quiet=self.quiet, verbose=False, progress=False)
+        return Screen(json_out, error=error, **vars(self))
 
 
 @dataclass(frozen=True)
@@ -165,20 +152,12 @@ class Verbosity(Quiet):
 
     verbose: bool = option("Say more.", "--verbose", "-v", default=False)
 
-    def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:
-        """Where the command says it; see `Screen`."""
-        return Screen(json_out, error=error, quiet=self.quiet, verbose=self.verbose, progress=False)
-
 
 @dataclass(frozen=True)
 class Terminal(Verbosity):
     """How much a command says whose work may take long."""
 
     progress: bool | None = option("Show progress.", "--progress/--no-progress", show_default="on a terminal")
-
-    def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:
-        """Where the command says it; see `Screen`."""
-        return Screen(json_out, error=error, quiet=self.quiet, verbose=self.verbose, progress=self.progress)
 
 
 def _json_for(encoding: str | None, text: str) -> str:
@@ -226,47 +205,27 @@ def progress_bar(console: Console, *, shown: bool, per_minute: bool = False) -> 
         yield lambda step, done, total, note="": None  # noqa: ARG005 - called by these names
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Task as RichTask
     from rich.text import Text as RichText
 
     class Rate(ProgressColumn):
         def render(self, task: Task) -> Text:
-            return RichText(_rate(task), style="progress.data.speed")
+            speed, unit = task.finished_speed or task.speed, "min" if per_minute else "s"
+            words = f"{(60 if per_minute else 1) * speed:.1f}/{unit}" if speed else ""
+            return RichText(words, style="progress.data.speed")
 
     columns = (
         *(TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), Rate()),
         *(TimeRemainingColumn(), TextColumn("{task.fields[note]}", markup=False)),
     )
-    tasks: dict[str, RichTask] = {}
-
-    def _rate(task: Task) -> str:
-        speed = task.finished_speed or task.speed
-        if not speed:
-            return ""
-        return f"{60 * speed:.1f}/min" if per_minute else f"{speed:.1f}/s"
-
+    tasks: dict[str, TaskID] = {}
     with Progress(*columns, console=console, transient=True) as bar:
 
         def advance(step: str, done: float, total: float | None, note: str = "") -> None:
             if step not in tasks:
-                identity = bar.add_task(step, total=total, completed=int(done), note=note)
-                tasks[step] = bar.tasks[bar.task_ids.index(identity)]
-            bar.update(tasks[step].id, completed=done, total=total, note=note)
+                tasks[step] = bar.add_task(step, total=total, completed=int(done), note=note)
+            bar.update(tasks[step], completed=done, total=total, note=note)
 
         yield advance
-
-
-def watched(things: Sequence[Thing], heading: str, console: Console, *, shown: bool) -> Iterable[Thing]:
-    """Go through some things and show how far that has come.
-
-    Args:
-        things: What to go through.
-        heading: What is being done to them.
-        console: Where it is shown.
-        shown: Whether it is; a single thing is not worth a bar.
-    """
-    with progress_bar(console, shown=shown and len(things) > 1) as advance:
-        yield from stepwise(things, heading, advance)
 
 
 def stepwise(things: Sequence[Thing], heading: str, advance: Advance) -> Iterator[Thing]:

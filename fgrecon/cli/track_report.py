@@ -87,9 +87,6 @@ def solve(
         settings: What holds for all images.
         images: Folder with photographs, or None.
         names: What is known of the keypoints' names, or None.
-
-    Raises:
-        InvalidInputError: The file is malformed or names several vehicles, or an image is missing.
     """
     read = read_tasks(file, settings.prior.category, source, names)
     tasks = read.tasks
@@ -120,9 +117,6 @@ def _check_of_one_vehicle(file: Path, instances: Sequence[Instance]) -> list[str
 
     Returns:
         A warning where nothing says that they are in several images, not even their names (`car:17`).
-
-    Raises:
-        InvalidInputError: It does.
     """
     ids = {one.track: one.name for one in instances if one.track is not None}
     if len(ids) > 1:
