@@ -104,7 +104,8 @@ async def _reconstruct(request: Request) -> Response:
     with workers.place():
         body = await read_body(request, request.app.state.limits)
         await wanted()  # uvicorn stops to listen after a large body until somebody asks
-        text = await workers.when_wanted(wanted, {KINDS[kind]: body}, results_text, Uploaded(KINDS[kind]), requested)
+        name = KINDS[kind]
+        text = await workers({name: body}, results_text, Uploaded(name), requested, wanted=wanted)
     return Response(text, media_type="application/json")
 
 

@@ -21,6 +21,7 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.vehicle_mesh import ClosestModel, VehicleMesh
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.export.mesh import glb_bytes
@@ -35,7 +36,7 @@ from fgrecon.viz.geometry import BOX_EDGES, image_points, level_axes, outline_co
 from fgrecon.viz.outcomes import cells_of, drawn_of, message_of, recordings
 from fgrecon.viz.picture import as_rgb, new_figure, place_axes
 from fgrecon.viz.scene_picture import scene_picture
-from fgrecon.viz.subjects import DrawnScene, jpeg
+from fgrecon.viz.subjects import DrawnScene, jpeg, result_step
 
 _QUALITY = 90
 _ABOVE = 4.0  # inches, of the view from above
@@ -216,22 +217,12 @@ def _car(number: int, outcome: Outcome) -> ShownCar:
     if result is None:
         return ShownCar(**car, keypoints=[], edges=[], steps=[])
     names = list(result.shape.keypoint_names)
+    titled = [(f"{one.stage}, update {one.irls}, step {one.step}", one) for one in result.diagnostics.history]
     steps = [
-        ShownStep(
-            f"{one.stage}, update {one.irls}, step {one.step}",
-            _pixels(one.projections),
-            _numbers(one.weights),
-            dict(one.energies),
-        )
-        for one in result.diagnostics.history
+        ShownStep(title, _pixels(one.projections), _numbers(one.weights), dict(one.energies))
+        for title, one in [*titled, ("result", result_step(result))]
     ]
     corners = image_points(camera, result.camera_T_object, outline_corners(result.box_size))
-    finals = ShownStep(
-        "result",
-        _pixels(result.pose.wireframe_uv),
-        _numbers(result.diagnostics.weights),
-        dict(result.diagnostics.energies),
-    )
     others = [
         [f"{one.probability:.2f}", f"{one.excess:.1f}", *_place(one.camera_T_object)]
         for one in result.uncertainty.alternatives
@@ -240,7 +231,7 @@ def _car(number: int, outcome: Outcome) -> ShownCar:
         **car,
         keypoints=names,
         edges=result.shape.edges.tolist(),
-        steps=[*steps, finals],
+        steps=steps,
         frame=[_pixels(corners[edge]) for edge in BOX_EDGES],
         others=[[f"{result.uncertainty.pose_probability:.2f}", "0.0", *_place(result.camera_T_object)], *others],
         factors=dict(Counter(factor.term for factor in result.diagnostics.graph)),
@@ -248,8 +239,6 @@ def _car(number: int, outcome: Outcome) -> ShownCar:
 
 
 def _place(camera_T_object: Array) -> list[str]:
-    from fgrecon.core.reconstruction import rotation_y
-
     yaw = float(np.degrees(rotation_y(camera_T_object)))
     return [f"{yaw:.0f}", ", ".join(f"{number:.2f}" for number in camera_T_object[:3, 3])]
 

@@ -66,42 +66,33 @@ class Workers:
         finally:
             self._inside -= 1
 
-    async def when_wanted(
+    async def __call__(
         self,
-        wanted: Callable[[], Awaitable[None]],
         files: Mapping[str, bytes | Path],
         work: Callable[..., T],
         *args: Any,
+        wanted: Callable[[], Awaitable[None]] | None = None,
     ) -> T:
-        """As a call, but what `wanted` raises when a worker is free ends it: whoever asked may be gone by then."""
-        worker = await self._free.get()
-        try:
-            await wanted()
-        except BaseException:
-            self._free.put_nowait(worker)
-            raise
-        return await self._done(worker, files, work, *args)
-
-    async def __call__(self, files: Mapping[str, bytes | Path], work: Callable[..., T], *args: Any, **kwargs: Any) -> T:
         """What a function makes of some files, which are in a folder of their own as long as it works.
 
         Args:
             files: Content by name, plain names; or where a file is, which is linked.
             work: A function of a module; it is called with the folder.
             args: Its further arguments.
-            kwargs: Likewise.
+            wanted: What it raises when a worker is free ends the call: whoever asked may be gone by then.
 
         Raises:
             InvalidInputError: The process died of it, or took too long or too much memory.
             FgreconError: What the function raises.
         """
-        return await self._done(await self._free.get(), files, work, *args, **kwargs)
-
-    async def _done(
-        self, worker: Isolated, files: Mapping[str, bytes | Path], work: Callable[..., T], *args: Any, **kwargs: Any
-    ) -> T:
-        loop = asyncio.get_running_loop()
-        done = loop.run_in_executor(self._threads, partial(_in_folder, worker, files, work, *args, **kwargs))
+        worker = await self._free.get()
+        try:
+            if wanted is not None:
+                await wanted()
+        except BaseException:
+            self._free.put_nowait(worker)
+            raise
+        done = asyncio.get_running_loop().run_in_executor(self._threads, _in_folder, worker, files, work, *args)
         done.add_done_callback(lambda _: self._free.put_nowait(worker))  # and not when whoever asked is gone
         return await asyncio.shield(done)
 
@@ -112,9 +103,7 @@ class Workers:
         self._threads.shutdown(wait=False, cancel_futures=True)
 
 
-def _in_folder(
-    worker: Isolated, files: Mapping[str, bytes | Path], work: Callable[..., T], *args: Any, **kwargs: Any
-) -> T:
+def _in_folder(worker: Isolated, files: Mapping[str, bytes | Path], work: Callable[..., T], *args: Any) -> T:
     with tempfile.TemporaryDirectory(prefix="fgrecon-") as name:
         folder = Path(name)
         for file, content in files.items():
@@ -122,4 +111,4 @@ def _in_folder(
                 (folder / file).write_bytes(content)
             else:
                 (folder / file).symlink_to(content)
-        return worker("request", work, folder, *args, **kwargs)
+        return worker("request", work, folder, *args)

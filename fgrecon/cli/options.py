@@ -70,11 +70,6 @@ def _fleets() -> list[str]:
 
 PRIORS, FLEETS = fitting_names(_priors), fitting_names(_fleets)
 
-CalibOption = Annotated[Path | None, typer.Option(metavar="FILE", help="KITTI calibration file; its P2 is the camera.")]
-CameraOption = Annotated[
-    str | None,
-    typer.Option(metavar="FILE[#NAME]", help="Calibration: KITTI, ROS, OpenCV, nuScenes, Waymo, or K in JSON."),
-]
 NamesOption = Annotated[
     str | None,
     typer.Option(
@@ -155,10 +150,12 @@ ScaleOption = Annotated[
 class CameraOptions:
     """The camera, where the input does not say."""
 
-    calib: CalibOption = None
+    calib: Path | None = option("KITTI calibration file; its P2 is the camera.", metavar="FILE")
     intrinsics: str | None = option("Camera in pixels.", metavar="FX,FY,CX,CY", show_default="from the file")
     distortion: str | None = option("OpenCV's distortion coefficients.", metavar="K1,K2,P1,P2,...")
-    camera: CameraOption = None
+    camera: str | None = option(
+        "Calibration: KITTI, ROS, OpenCV, nuScenes, Waymo, or K in JSON.", metavar="FILE[#NAME]"
+    )
     crop: str | None = option(
         "The image is a part of another (of W x H pixels) from there on; the camera is that one's.",
         metavar="LEFT,TOP[,W,H]",
@@ -173,16 +170,15 @@ class CameraOptions:
         """
         from fgrecon.io.cameras.camera_source import CameraSource
 
-        intrinsics = "fx,fy,cx,cy: four numbers in pixels"
-        distortion = "4, 5, 8, 12 or 14 numbers in OpenCV's order: k1,k2,p1,p2[,k3,...]"
+        def numbers(name: str, expected: str, *counts: int) -> list[float] | None:
+            text = getattr(self, name)
+            return None if text is None else parse_numbers(name, text, expected, counts)
+
+        order = "4, 5, 8, 12 or 14 numbers in OpenCV's order: k1,k2,p1,p2[,k3,...]"
         return CameraSource(
             calib=self.calib,
-            intrinsics=None
-            if self.intrinsics is None
-            else parse_numbers("intrinsics", self.intrinsics, intrinsics, (4,)),
-            distortion=None
-            if self.distortion is None
-            else parse_numbers("distortion", self.distortion, distortion, (4, 5, 8, 12, 14)),
+            intrinsics=numbers("intrinsics", "fx,fy,cx,cy: four numbers in pixels", 4),
+            distortion=numbers("distortion", order, 4, 5, 8, 12, 14),
             file=self.camera,
             crop=None if self.crop is None else parse_crop(self.crop),
             scale_to_image=scale_to_image,

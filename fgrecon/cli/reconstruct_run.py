@@ -25,7 +25,8 @@ from fgrecon.core.text import counted, distinct
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.files import write_text
 from fgrecon.io.images import IMAGES, read_photograph, refuse_unread
-from fgrecon.viz.outcomes import draw, draw_moving, recordings
+from fgrecon.viz.animation import animate
+from fgrecon.viz.outcomes import draw, recordings, sights_of
 
 
 def reconstruct_file(files: Sequence[Path], request: ReconstructRequest, screen: Screen) -> bool:
@@ -121,7 +122,7 @@ def _deliver(solved: SolvedFile, request: ReconstructRequest, screen: Screen) ->
     if drawings.picture is not None:
         screen.wrote(*draw(drawings.picture, outcomes, pixels, grounds, sheet=drawings.sheet))
     if drawings.animation is not None:
-        screen.wrote(*draw_moving(drawings.animation, outcomes, pixels))
+        screen.wrote(*(animate(drawings.animation, sight) for sight in sights_of(outcomes, pixels)))  # one at most
     if request.delivery.requested:
         made = recordings(outcomes, pixels, grounds)
         request.delivery.deliver(made, screen, several=len(grounds) > 1 or len(made) > 1)

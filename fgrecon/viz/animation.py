@@ -130,8 +130,7 @@ def _prepare_energy(axes: Any, result: Reconstruction) -> Array:
     axes.set_xlim(-0.5, len(totals) - 0.5)
     axes.set_ylim(low - margin, high + margin)
     axes.set_title("Energy [nats] by step", fontsize=8, loc="left", pad=3)
-    axes.tick_params(labelsize=6, length=2, pad=1.5)
-    axes.grid(visible=True, color=unit(style.HAIRLINE), linewidth=0.5)
+    draw_grid(axes)
     return totals
 
 

@@ -13,11 +13,12 @@ from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Side
 from fgrecon.viz import style
 from fgrecon.viz.geometry import box_path
 from fgrecon.viz.marks import unit
+from fgrecon.viz.picture import new_figure
 
 if TYPE_CHECKING:
     from fgrecon.perception.keypoints.detect import CascadeDetection
 
-_CELL, _COLUMNS, _HEADING = 3.2, 4, 0.3
+_CELL, _COLUMNS, _HEADING, _DPI = 3.2, 4, 0.3, 100
 _SHOWN = 0.3  # points of less confidence are rings without a name
 
 
@@ -35,13 +36,9 @@ def detection_sheet(
     Returns:
         A `matplotlib.figure.Figure` with an Agg canvas.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = max(min(_COLUMNS, len(detections)), 1)
     rows = max(-(-len(detections) // columns), 1)
-    figure = Figure(figsize=(columns * _CELL, rows * (_CELL + _HEADING)), facecolor=unit(style.PAPER))
-    FigureCanvasAgg(figure)
+    figure = new_figure(columns * _CELL, rows * (_CELL + _HEADING), dpi=_DPI)
     for number, (detection, name) in enumerate(zip(detections, names, strict=True)):
         axes = figure.add_subplot(rows, columns, number + 1)
         _draw(axes, image, detection, category)

@@ -15,7 +15,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.text import printable
-from fgrecon.viz.animation import animate
 from fgrecon.viz.picture import contact_sheet, picture, save_picture
 from fgrecon.viz.scene_picture import scene_picture
 from fgrecon.viz.sinks import Recording
@@ -94,18 +93,6 @@ def drawn_of(outcomes: Sequence[Outcome]) -> list[DrawnVehicle]:
 
 def _detection(outcome: Outcome) -> str:
     return detection_words(outcome.task.instance.kind, outcome.task.instance.score)
-
-
-def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Path]:
-    """Animate the optimisation of the only vehicle; nothing where it has no result.
-
-    Returns:
-        The files written.
-    """
-    sights = sights_of(outcomes, image)
-    for sight in sights:
-        animate(path, sight)
-    return [path] * len(sights)
 
 
 def recordings(

@@ -8,14 +8,12 @@ from __future__ import annotations
 import io
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Iteration, Status
 from fgrecon.core.text import whole_text
@@ -26,7 +24,7 @@ from fgrecon.viz.describe import describe_bounds, describe_errors, median_residu
 from fgrecon.viz.geometry import Box, crop_around, image_points
 from fgrecon.viz.marks import draw_badge, draw_box, draw_crop, draw_edges, draw_keypoints, draw_true_box, unit
 from fgrecon.viz.solid import draw_from_above, draw_three_quarter
-from fgrecon.viz.subjects import SolvedVehicle, Truth
+from fgrecon.viz.subjects import SolvedVehicle, Truth, result_step
 
 FORMATS = ("png", "svg", "pdf", "jpg", "jpeg")
 """File types that `save_picture` writes, by the ending of the name."""
@@ -39,19 +37,6 @@ _PANEL, _GAP, _BOTTOM = 2.3, 0.08, 0.92
 _CELL, _CELL_HEADING = 3.0, 0.42
 CELL_ASPECT = 1.5
 """Width of a sheet's cells relative to their height."""
-
-
-@dataclass(frozen=True)
-class _Moment:
-    """An estimate at one moment of the optimisation."""
-
-    camera_T_object: Array
-    keypoints: Array
-    weights: Array
-
-    @classmethod
-    def of(cls, step: Iteration) -> _Moment:
-        return cls(step.camera_T_object, step.keypoints, step.weights)
 
 
 def picture(vehicle: SolvedVehicle) -> Any:
@@ -168,11 +153,11 @@ def save_picture(path: str | Path, figure: Any, dpi: float | None = None) -> Pat
     return write_bytes(path, buffer.getvalue())
 
 
-def new_figure(width: float, height: float) -> Any:
+def new_figure(width: float, height: float, dpi: float = _DPI) -> Any:
     """A figure of a size in inches, with a canvas of its own."""
     from fgrecon.viz.figure import Drawing
 
-    return Drawing(figsize=(width, height), dpi=_DPI, facecolor=unit(style.PAPER))
+    return Drawing(figsize=(width, height), dpi=dpi, facecolor=unit(style.PAPER))
 
 
 def place_axes(figure: Any, left: float, bottom: float, width: float, height: float) -> Any:
@@ -181,24 +166,23 @@ def place_axes(figure: Any, left: float, bottom: float, width: float, height: fl
     return figure.add_axes((left / across, bottom / up, width / across, height / up))
 
 
-def _moments(vehicle: SolvedVehicle) -> tuple[tuple[str, _Moment | None], ...]:
+def _moments(vehicle: SolvedVehicle) -> tuple[tuple[str, Iteration | None], ...]:
     """The three panels over the photograph; None where the stage did not run."""
     history = vehicle.reconstruction.diagnostics.history
     pose = [step for step in history if step.stage == "pose"]
     joint = any(step.stage == "joint" for step in history)
     return (
-        ("Initial", _Moment.of(history[0]) if history else None),
-        ("After pose adjustment", _Moment.of(pose[-1]) if pose else None),
+        ("Initial", history[0] if history else None),
+        ("After pose adjustment", pose[-1] if pose else None),
         (f"After shape {'and joint ' if joint else ''}adjustment", _result(vehicle)),
     )
 
 
-def _result(vehicle: SolvedVehicle) -> _Moment | None:
-    result = vehicle.reconstruction
-    return _Moment(result.camera_T_object, result.wireframe, result.diagnostics.weights) if vehicle.solved else None
+def _result(vehicle: SolvedVehicle) -> Iteration | None:
+    return result_step(vehicle.reconstruction) if vehicle.solved else None
 
 
-def _draw_moment(axes: Any, vehicle: SolvedVehicle, crop: Box, title: str, moment: _Moment | None) -> None:
+def _draw_moment(axes: Any, vehicle: SolvedVehicle, crop: Box, title: str, moment: Iteration | None) -> None:
     """One estimate over the photograph, with a title and a line of numbers."""
     draw_crop(axes, vehicle.pixels, vehicle.camera, crop)
     if vehicle.observation.box is not None:

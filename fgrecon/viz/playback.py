@@ -18,10 +18,7 @@ from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Outbox, strip_columns
 from fgrecon.viz.describe import weight_updates
 from fgrecon.viz.geometry import image_points
-from fgrecon.viz.subjects import SolvedVehicle
-
-RESULT = "result"
-"""Stage of the only step of a recording without a history."""
+from fgrecon.viz.subjects import SolvedVehicle, result_step
 
 
 @dataclass(frozen=True)
@@ -44,18 +41,7 @@ class Playback:
         result = self.vehicle.reconstruction
         if result.diagnostics.history or not self.vehicle.solved:
             return tuple(result.diagnostics.history)
-        last = Iteration(
-            stage=RESULT,
-            irls=0,
-            step=0,
-            camera_T_object=result.camera_T_object,
-            coefficients=result.shape.coefficients,
-            keypoints=result.wireframe,
-            projections=result.pose.wireframe_uv,
-            weights=result.diagnostics.weights,
-            energies=result.diagnostics.energies,
-        )
-        return (last,)
+        return (result_step(result),)
 
     @cached_property
     def irls(self) -> NDArray[np.int64]:

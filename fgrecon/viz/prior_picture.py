@@ -13,6 +13,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.vehicle_mesh import SIDE_COLOURS, Side, edge_sides, keypoint_sides
 from fgrecon.viz import style
 from fgrecon.viz.marks import draw_edges, unit
+from fgrecon.viz.picture import new_figure
 
 MODE_RANGE = 2.0
 """How far each mode is shown, in standard deviations."""
@@ -20,7 +21,7 @@ MODE_RANGE = 2.0
 _VIEWS = {"from the right": (0, 1, 1, -1), "from the front": (2, 1, 1, -1), "from above": (0, 2, 1, 1)}
 """Horizontal and vertical object axis of each view, and their signs on paper."""
 _CELL = (3.4, 2.3)
-_TITLE = 0.35
+_TITLE, _DPI = 0.35, 100
 
 
 def prior_picture(prior: ShapePrior, modes: int | None = None) -> Any:
@@ -38,17 +39,12 @@ def prior_picture(prior: ShapePrior, modes: int | None = None) -> Any:
     Raises:
         InvalidInputError: The prior has fewer modes.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     count = prior.dimension if modes is None else modes
     if not 0 <= count <= prior.dimension:
         raise InvalidInputError("modes", count, f"Give a number from 0 to {prior.dimension}.")
     width, height = 3 * _CELL[0], (count + 1) * _CELL[1] + _TITLE
-    figure = Figure(figsize=(width, height), facecolor=unit(style.PAPER))
-    FigureCanvasAgg(figure)
-    sides = keypoint_sides(prior.category.keypoints, prior.mean)
-    edges = edge_sides(np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2), sides)
+    figure = new_figure(width, height, dpi=_DPI)
+    edges = edges_of(prior)
     extremes = _extremes(prior, count)
     limits = {name: _limits(extremes, view) for name, view in _VIEWS.items()}
     for row in range(count + 1):
@@ -69,6 +65,12 @@ def prior_picture(prior: ShapePrior, modes: int | None = None) -> Any:
         0.01, 1.0 - 0.35 * _TITLE / height, heading, fontsize=9, va="top", color=unit(style.INK), parse_math=False
     )
     return figure
+
+
+def edges_of(prior: ShapePrior) -> dict[Side, NDArray[np.int64]]:
+    """The edges (E, 2) of a prior's wireframe by side."""
+    sides = keypoint_sides(prior.category.keypoints, prior.mean)
+    return edge_sides(np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2), sides)
 
 
 def _extremes(prior: ShapePrior, count: int) -> Array:

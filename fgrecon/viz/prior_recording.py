@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from fgrecon.core.arrays import Array
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.vehicle_mesh import SIDE_COLOURS, SURFACE, edge_sides, keypoint_sides
-from fgrecon.viz.prior_picture import MODE_RANGE
+from fgrecon.core.vehicle_mesh import SIDE_COLOURS, SURFACE, keypoint_sides
+from fgrecon.viz.prior_picture import MODE_RANGE, edges_of
 from fgrecon.viz.sinks import APPLICATION, Recording
 
 _STEPS = 40
@@ -63,7 +63,6 @@ def _coefficients(prior: ShapePrior) -> tuple[NDArray[np.int64], Array]:
 def _log(stream: Any, prior: ShapePrior) -> None:
     modes, coefficients = _coefficients(prior)
     sides = keypoint_sides(prior.category.keypoints, prior.mean)
-    edges = edge_sides(np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2), sides)
     stream.log("prior", rr.ViewCoordinates.RDF, static=True)
     points = rr.Points3D(
         prior.mean,
@@ -77,7 +76,7 @@ def _log(stream: Any, prior: ShapePrior) -> None:
         stream.set_time("mode", sequence=int(mode))
         stream.set_time("step", sequence=step)
         shape = prior.keypoints(row)
-        for side, group in edges.items():
+        for side, group in edges_of(prior).items():
             if len(group):
                 strips = rr.LineStrips3D(shape[group], colors=SIDE_COLOURS[side], radii=_RADIUS)
                 stream.log(f"prior/wireframe/{side.value}", strips)

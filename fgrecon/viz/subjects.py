@@ -18,7 +18,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.history import GraphFactor
 from fgrecon.core.metrics import orientation_error, translation_error
 from fgrecon.core.observation import Observation
-from fgrecon.core.reconstruction import Reconstruction, rotation_y
+from fgrecon.core.reconstruction import Iteration, Reconstruction, rotation_y
 from fgrecon.core.text import distinct
 from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.viz import entities
@@ -162,6 +162,21 @@ class SolvedVehicle:
     def solved(self) -> bool:
         """Whether there is a pose."""
         return bool(np.isfinite(self.reconstruction.camera_T_object).all())
+
+
+def result_step(result: Reconstruction) -> Iteration:
+    """A result as a step of an optimisation, of stage `result`."""
+    return Iteration(
+        stage="result",
+        irls=0,
+        step=0,
+        camera_T_object=result.camera_T_object,
+        coefficients=result.shape.coefficients,
+        keypoints=result.wireframe,
+        projections=result.pose.wireframe_uv,
+        weights=result.diagnostics.weights,
+        energies=result.diagnostics.energies,
+    )
 
 
 @dataclass(frozen=True)
