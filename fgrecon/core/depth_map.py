@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,7 @@ _LEAST_SIGMA = 1e-9  # of shares and shared errors that are not none: squares of
 _LEAST_MEASURED = 20  # pixels of which the median tells the unit
 _MIDDLE = 0.25  # of a 2D box's sides, from its middle: pixels that are surely the vehicle's, or of what hides it
 _ALIKE, _LEAST_ALIKE = 2.0, 0.05  # times as far or near, within which a pixel may be the vehicle's; share that is so
+_SIDE_M, _TOO_FAR = 1.5, 3.3  # of a vehicle's outline, the smaller; times as far as by it, as no vehicle is
 _ROUNDING = 1e-9  # share of the largest number of a covariance that is rounding
 
 
@@ -179,6 +181,23 @@ class DepthMap:
         if len(ratio) < _LEAST_MEASURED or (np.abs(np.log(ratio)) < np.log(_ALIKE)).mean() >= _LEAST_ALIKE:
             return None
         return float(np.median(ratio))
+
+    def check_vehicles(self, boxes: Sequence[NDArray[np.float64]], camera: Camera, field: str) -> None:
+        """Refuse a map in metres by which vehicles would be larger than any are.
+
+        Args:
+            boxes: (4,) 2D box of each, pixels.
+            camera: The camera.
+            field: What an error calls the map.
+
+        Raises:
+            InvalidInputError: Most of them would be.
+        """
+        usual = (float((_SIDE_M * camera.matrix.diagonal()[:2] / (box[2:] - box[:2])).max()) for box in boxes)
+        found = [self.times_too_far(box, metres) or 1.0 for box, metres in zip(boxes, usual, strict=True)]
+        if found and (times := float(np.median(found))) > _TOO_FAR:
+            fix = "Give metres; of PNG files 256 are one, so scale millimetres, or say `scale=scale` of unknown units."
+            raise InvalidInputError(field, f"depths {times:.2g} times as far as vehicles look", fix)
 
     def along(self, row: NDArray[np.intp], column: NDArray[np.intp], metres: Array, scale: float) -> Array:
         """Standard deviations (M,) of the depths of pixels in metres, with so many metres to a unit."""

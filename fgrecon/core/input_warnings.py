@@ -93,6 +93,8 @@ class InputWarning(StrEnum):
     """Hardly one fits the result."""
     FACTORS = "factors"
     """Factors of the caller's own contradict the image."""
+    RANGE = "range"
+    """A range contradicts the image."""
     DEPTH = "depth"
     """By a depth map it is where it is not."""
 
@@ -118,6 +120,8 @@ _SENTENCES = {
     "fit": "Hardly a keypoint of {} fits. Is their order the category's, and are left and right the vehicle's own?",
     "factors": "Factors of yours (`extra_factors`) contradict what is known of {} without them. Are they in metres and "
     "radians, in fgrecon's frames, and of this vehicle?",
+    "range": "The range of {} contradicts its image. Is it in metres, from the sensor that `origin` says, and of this "
+    "vehicle?",
     "depth": "The depth map puts {} where it is not, and is not used. Are its numbers metres along the camera's axis, "
     "and of this image? Else say what they are: scale, scale_and_shift, inverse.",
 }
@@ -125,7 +129,7 @@ _SENTENCES = {
 DEPTHS_ELSEWHERE = "depth: left out"
 """How `Diagnostics.left_out` begins to say so of a vehicle."""
 
-FACTORS_CONTRADICT = "factors of yours contradict"
+FACTORS_CONTRADICT, RANGE_CONTRADICTS = "factors of yours contradict", "its range contradicts"
 """How a result's reason begins to say so."""
 
 
@@ -355,8 +359,9 @@ def _check_rays(points: Array, camera: Camera) -> None:
 
 def result_warning_of(observation: Observation, result: Reconstruction) -> InputWarning | None:
     """What must be wrong with a vehicle's keypoints or its camera, if anything, by its result."""
-    if any(reason.startswith(FACTORS_CONTRADICT) for reason in result.reasons):
-        return InputWarning.FACTORS
+    for said, warning in ((FACTORS_CONTRADICT, InputWarning.FACTORS), (RANGE_CONTRADICTS, InputWarning.RANGE)):
+        if any(reason.startswith(said) for reason in result.reasons):
+            return warning
     if result.diagnostics.mirrored_gain > SETTINGS.mirrored_gain_nats:
         return InputWarning.MIRRORED
     share = fit_share(observation, result.diagnostics.weights)

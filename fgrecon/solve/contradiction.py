@@ -1,7 +1,7 @@
-"""Contradictions between the caller's own factors and the images: how much worse these fit than without them.
+"""Contradictions between the caller's own factors, or ranges, and the images: how much worse these fit than without.
 
-Right factors bring an image from its minimum to the truth, which costs a few nats. Wrong ones cost more: they bring it
-to a pose that it does not show, or make the vehicle larger or smaller than such are.
+Right ones bring an image from its minimum to the truth, which costs a few nats. Wrong ones cost more: they bring it to
+a pose that it does not show, or make the vehicle larger or smaller than such are.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ from dataclasses import replace
 from statistics import median
 
 from factors.keys import decode_key
-from fgrecon.core.input_warnings import FACTORS_CONTRADICT
+from factors.vehicle_range import RangeFactor
+from fgrecon.core.input_warnings import FACTORS_CONTRADICT, RANGE_CONTRADICTS
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.robust import StrategyName
-from fgrecon.solve.graph.graph import EXTRA, Graph
-from fgrecon.solve.graph.optimise import Optimum
-from fgrecon.solve.result import weakened
+from fgrecon.solve.graph.graph import EXTRA, Graph, GraphObservation
+from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.solve_settings import STATUS
+from fgrecon.solve.weakness import weakened
 
 Ended = tuple[Graph, Optimum]
 """A graph, and its minimum."""
@@ -26,15 +27,20 @@ _SHAPE = "LOPM"
 
 
 def with_contradictions(
-    found: Sequence[Reconstruction], ended: Ended, without: Ended, indices: Sequence[int] | None = None
+    found: Sequence[Reconstruction],
+    ended: Ended,
+    without: Ended,
+    indices: Sequence[int] | None = None,
+    contradict: str = FACTORS_CONTRADICT,
 ) -> list[Reconstruction]:
-    """The results, weak where factors of the caller's own contradict the images.
+    """The results, weak where factors of the caller's own, or ranges, contradict the images.
 
     Args:
         found: Results of observations of a graph with such factors.
         ended: That graph, and its end.
         without: The graph of the same observations without the factors, and its end.
         indices: Which observations the results are of; None for all.
+        contradict: Their name in the reason.
     """
     graph = ended[0]
     if graph.options.strategy.name is not StrategyName.MIXTURE:  # other energies have outliers pull at poses
@@ -50,13 +56,31 @@ def with_contradictions(
         usual = median(nats for nats, number in zip(lost, vehicles, strict=True) if number == vehicles[i])
         reason = ""
         if lost[i] > STATUS.contradicted_nats:
-            reason = f"{FACTORS_CONTRADICT} image and shape prior, which fit worse by {lost[i]:.0f} nats"
+            reason = f"{contradict} image and shape prior, which fit worse by {lost[i]:.0f} nats"
         elif vehicles.count(vehicles[i]) > 1 and usual > STATUS.contradicted_median_nats:
-            reason = f"{FACTORS_CONTRADICT} half of its images, which fit worse by {usual:.0f} nats and more"
+            reason = f"{contradict} half of its images, which fit worse by {usual:.0f} nats and more"
         if reason and not result.status.settled:
             result = replace(result, message=f"{result.message} {reason[0].upper()}{reason[1:]}.")
         results.append(weakened(result, (reason,) if reason else ()))
     return results
+
+
+def with_contradicted_ranges(
+    found: Sequence[Reconstruction], ended: Ended, indices: Sequence[int]
+) -> list[Reconstruction]:
+    """The results of some observations of a graph, weak where ranges contradict the images."""
+    graph, optimum = ended
+    name = RangeFactor.name
+    if optimum.failure is not None or not any(name in graph.names_of(i) for i in range(len(graph.observations))):
+        return [*found]
+    options = replace(graph.options, disabled_terms=graph.options.disabled_terms | {name})
+    parts = [
+        GraphObservation(replace(part.problem, options=options), part.vehicle.number, part.image)
+        for part in graph.observations
+    ]
+    alone = Graph(parts, optimum.state, pose_free=True, extra=graph.extra)
+    without = alone, optimise(alone, optimum.state)
+    return with_contradictions(found, ended, without, indices, RANGE_CONTRADICTS)
 
 
 def _vehicles_of_shape_factors(graph: Graph) -> set[int]:

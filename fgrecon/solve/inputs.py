@@ -427,11 +427,13 @@ def check_frames(
     """
     boxes: list[Array] | None = None
     for number, one in enumerate(evidence):
+        if boxes is None and isinstance(one, Points | DepthMap):
+            places = [one.place for one in observations if isinstance(one, Observation)]
+            boxes = [place for place in places if place is not None]
         if isinstance(one, Points) and len(one.points):
-            if boxes is None:
-                places = [one.place for one in observations if isinstance(one, Observation)]
-                boxes = [place for place in places if place is not None]
-            check_points(one.points, camera, f"evidence[{number}]", ground, boxes)
+            check_points(one.points, camera, f"evidence[{number}]", ground, boxes or ())
+        elif isinstance(one, DepthMap):
+            one.check_vehicles(boxes or (), camera, f"evidence[{number}]")
 
 
 def as_boxes(boxes: Sequence[Box3D | None], count: int, camera: Camera, prior: ShapePrior) -> list[Box3D | None]:

@@ -13,7 +13,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.result import weakened
+from fgrecon.solve.weakness import weakened
 
 
 def with_mirrored_gain(result: Reconstruction, problem: Problem) -> Reconstruction:

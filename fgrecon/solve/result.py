@@ -38,6 +38,7 @@ from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import LONGEST, SHORTEST
 from fgrecon.core.text import counted
 from fgrecon.solve.box_check import box_excess
+from fgrecon.solve.contradiction import with_contradicted_ranges
 from fgrecon.solve.graph.covariance import Covariances, Spread, covariance_of, marginals_of, read_covariances
 from fgrecon.solve.graph.graph import Graph, GraphObservation
 from fgrecon.solve.graph.multi_start import MultiStartResult
@@ -51,7 +52,7 @@ from fgrecon.solve.proposals.scaled_depth import ScaledDepth
 from fgrecon.solve.proposals.search_settings import SETTINGS as SEARCH
 from fgrecon.solve.solve_settings import STATUS
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
-from fgrecon.solve.weakness import too_large_box, weaknesses
+from fgrecon.solve.weakness import too_large_box, weakened, weaknesses
 
 
 @dataclass(frozen=True)
@@ -137,9 +138,9 @@ def results(
         keys = None if only is None else _keys_of(graph, only)
         for name in sorted({name for i in wanted for name in graph.names_of(i)}):
             without[name] = marginals_of(graph, known.values, known.weights, keys, silent=name)
-    for i, (part, start) in enumerate(zip(graph.observations, starts, strict=True)):
-        if only is not None and i not in only:
-            continue
+    indices = [i for i in range(len(parts)) if only is None or i in only]
+    for i in indices:
+        part, start = graph.observations[i], starts[i]
         uncertainty = read_covariances(part, known.weights[i], known.values, known.marginals, shapes)
         points, point_weights = graph.points_of(i)
         gained = {} if uncertainty is None else _gained(graph, i, uncertainty, without)
@@ -157,7 +158,7 @@ def results(
             **_shared_errors(graph, known, i),
         }
         found.append(_result(end, diagnostics))
-    return found
+    return with_contradicted_ranges(found, adjusted.ended, indices)
 
 
 def _structure(graph: Graph, index: int, weights: Sequence[Weights]) -> Sequence[GraphFactor]:
@@ -375,17 +376,6 @@ def _regions(problem: Problem) -> Regions:
     if problem.assumed:
         return Regions.ASSUMED
     return Regions.FITTED if problem.options.keypoints.fitted else Regions.SHIPPED
-
-
-def weakened(result: Reconstruction, reasons: Sequence[str], status: Status = Status.WEAK) -> Reconstruction:
-    """The result with further reasons to be weak, or ambiguous, which it is where it had converged."""
-    if not reasons:
-        return result
-    every = (*result.reasons, *reasons)
-    if not result.status.settled:
-        return replace(result, reasons=every)
-    text = "; ".join(every if status is Status.WEAK else reasons)
-    return replace(result, status=status, message=f"{text[0].upper()}{text[1:]}.", reasons=every)
 
 
 def with_gains(result: Reconstruction, gained: Mapping[str, float]) -> Reconstruction:

@@ -53,12 +53,12 @@ from fgrecon.solve.independent import IndependentSolve, IndependentVehicle, solv
 from fgrecon.solve.inputs import SolveSetup, as_box_errors, as_boxes, as_extra_factors, check_frames, evidence_of
 from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.mutual_occlusion import with_occlusion
-from fgrecon.solve.result import Marginalised, marginalise, pose_history, results, weakened
+from fgrecon.solve.result import Marginalised, marginalise, pose_history, results
 from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.solve_settings import SCENE
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import prepare
-from fgrecon.solve.weakness import unknown_focal
+from fgrecon.solve.weakness import unknown_focal, weakened
 
 _OF_VEHICLE = "XLOPM"
 _NOT_IN_IT = (

@@ -52,7 +52,7 @@ from fgrecon.solve.inputs import (
     without_rates_over_ground,
 )
 from fgrecon.solve.proposals.point_term import with_its_points
-from fgrecon.solve.result import marginalise, results, weakened, with_facing_over_time, with_gains
+from fgrecon.solve.result import marginalise, results, with_facing_over_time, with_gains
 from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.sensor_filter import SensorFilter
 from fgrecon.solve.solve_settings import GROUND_FILTER
@@ -62,7 +62,7 @@ from fgrecon.solve.time.frame import Frame
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle_filter import FilterModel
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, rate_gains, velocity_covariances
-from fgrecon.solve.weakness import too_fast
+from fgrecon.solve.weakness import too_fast, weakened
 
 _MAPPING = "Give a mapping: an `fgrecon.Observation` by id. Images go to `fgrecon.video.ImageTracker`."
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.input_warnings import REASONS, InputWarning, camera_warning_of, in_the_air
 from fgrecon.core.input_warnings import SETTINGS as INPUT_WARNINGS
 from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.result_fields import Status
 from fgrecon.solve.solve_settings import STATUS
 
@@ -119,6 +121,17 @@ def unknown_focal(
     if sigma > STATUS.rough_focal_log:
         found.append(f"the focal length is known to {100 * sigma:.0f} % only, and distances no better")
     return Status.AMBIGUOUS if others or sigma > STATUS.open_focal_log else Status.WEAK, tuple(found)
+
+
+def weakened(result: Reconstruction, reasons: Sequence[str], status: Status = Status.WEAK) -> Reconstruction:
+    """The result with further reasons to be weak, or ambiguous, which it is where it had converged."""
+    if not reasons:
+        return result
+    every = (*result.reasons, *reasons)
+    if not result.status.settled:
+        return replace(result, reasons=every)
+    text = "; ".join(every if status is Status.WEAK else reasons)
+    return replace(result, status=status, message=f"{text[0].upper()}{text[1:]}.", reasons=every)
 
 
 def _outside(camera: Camera, camera_T_object: Array, box_size: Array) -> float:

@@ -57,6 +57,31 @@ def test_right_ones_make_no_result_weak():
             assert not contradicted(result)
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.core.errors.ContradictoryInputWarning")
+def test_ranges_that_contradict_are_named_and_right_ones_are_not(approached):
+    """By a vehicle alone, in a scene, in a track and over time; the distance is to the middle of its 3D box."""
+    poses, images = approached
+    middle = [float(np.linalg.norm(pose[:3, 3] - [0.0, 0.75, 0.0])) for pose in poses]
+    for times, named in ((1.0, False), (0.6, True)):
+        given = [
+            seen.with_evidence([fgrecon.Range(times * metres, 0.2, to_centre=True)])
+            for seen, metres in zip(images, middle, strict=True)
+        ]
+        if named:
+            with pytest.warns(ContradictoryInputWarning, match=r"range of the vehicle contradicts"):
+                fgrecon.reconstruct(given[0], KITTI_CAMERA, size_prior="kitti", **GIVEN)
+        tracker = fgrecon.Tracker(size_prior="kitti")
+        online = [tracker.update(0.1 * t, {0: one}, camera=KITTI_CAMERA, **GIVEN)[0] for t, one in enumerate(given)]
+        found = [
+            fgrecon.reconstruct(given[0], KITTI_CAMERA, size_prior="kitti", **GIVEN),
+            fgrecon.reconstruct_scene(given[:1], KITTI_CAMERA, size_prior="kitti", **GIVEN).vehicles[0],
+            *fgrecon.reconstruct_track(given, KITTI_CAMERA, size_prior="kitti", **GIVEN).frames,
+            online[0].reconstruction,
+        ]
+        for one in found:
+            assert any(reason.startswith("its range contradicts") for reason in one.reasons) == named, one
+
+
 @pytest.mark.parametrize("strategy", ["huber", "paper", "gnc"])
 def test_other_energies_say_nothing_of_them(strategy):
     """Keypoints that are wrong pull at the pose, and the truth costs as much as a factor that is wrong."""

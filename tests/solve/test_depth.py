@@ -130,7 +130,7 @@ def test_scale_and_shift_are_found(
         assert one.diagnostics.depth_scales == pytest.approx(found[0].diagnostics.depth_scales)
 
 
-@pytest.mark.parametrize("times", [0.1, 5.0])
+@pytest.mark.parametrize("times", [0.1, 0.2])
 def test_a_map_of_another_unit_is_told(street: tuple[list[Observation], np.ndarray], times: float) -> None:
     seen, depth = street
     given = DepthMap(times * depth)
@@ -146,6 +146,19 @@ def test_a_map_of_another_unit_is_told(street: tuple[list[Observation], np.ndarr
     assert estimate.reconstruction.diagnostics.left_out
     right = reconstruct_scene(seen, CAMERA, evidence=[DepthMap(depth)], **HOW).vehicles
     assert not any(one.diagnostics.left_out for one in right)
+
+
+@pytest.mark.parametrize("times", [1000.0 / 256.0, 5.0])
+def test_a_map_by_which_vehicles_are_giants_is_refused(
+    street: tuple[list[Observation], np.ndarray], times: float
+) -> None:
+    """Such as millimetres read as KITTI's numbers: where nothing holds it, a vehicle would follow the map."""
+    seen, depth = street
+    given = DepthMap(times * depth)
+    with pytest.raises(InvalidInputError, match=r"^evidence\[0\]: got depths \S+ times as far as vehicles look"):
+        reconstruct_scene(seen, CAMERA, evidence=[given], options=OPTIONS)
+    with pytest.raises(InvalidInputError, match="millimetres"):
+        reconstruct(seen[0], CAMERA, evidence=[given], options=OPTIONS)
 
 
 def test_sure_pixels_free_the_size_and_others_do_not(street: tuple[list[Observation], np.ndarray]) -> None:
