@@ -6,13 +6,11 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from fgrecon.calibration.labelled_drives import ScoredDrives
 from fgrecon.calibration.labelled_frames import Rivals
 from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import NOT_GIVEN, DriveOptions, LabelledScene
 from fgrecon.cli.terminal import Screen, counting
 from fgrecon.core.errors import InvalidInputError
@@ -28,25 +26,20 @@ from fgrecon_research.io.drive_sensors import Sensor, with_sensors
 class Following:
     """Whether and how the vehicles are followed over time as well."""
 
-    track: Annotated[
-        bool,
-        typer.Option(
-            "--track",
-            help="Follow the vehicles by their labelled ids as well: online, and in batch (`fgrecon.Tracker`); "
-            "score velocities, and covariances against errors.",
-        ),
-    ] = False
-    forget_ids: Annotated[
-        bool, typer.Option("--forget-ids", help="Follow without the labelled ids, as `fgrecon run` associates.")
-    ] = False
-    estimate_motion: Annotated[
-        bool | None,
-        typer.Option(
-            "--estimate-motion/--no-estimate-motion",
-            help="Follow with the camera's motion as well, as the images tell it.",
-            show_default="with --track and a ground",
-        ),
-    ] = None
+    track: bool = option(
+        "Follow the vehicles by their labelled ids as well: online, and in batch (`fgrecon.Tracker`); "
+        "score velocities, and covariances against errors.",
+        "--track",
+        default=False,
+    )
+    forget_ids: bool = option(
+        "Follow without the labelled ids, as `fgrecon run` associates.", "--forget-ids", default=False
+    )
+    estimate_motion: bool | None = option(
+        "Follow with the camera's motion as well, as the images tell it.",
+        "--estimate-motion/--no-estimate-motion",
+        show_default="with --track and a ground",
+    )
 
     def moving(self, labelled: LabelledScene) -> bool:
         """Whether the camera's motion is estimated.

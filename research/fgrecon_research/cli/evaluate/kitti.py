@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
 
 import typer
 
 from fgrecon.calibration.labelled_drives import GivenScene
 from fgrecon.calibration.setup import Setup
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import Delivery, JsonOption, LabelledScene, TogetherOption, TrafficOption, WeightsOption
 from fgrecon.cli.outputs import check_not_over, check_outputs
 from fgrecon.cli.terminal import Screen, Terminal
@@ -32,10 +32,7 @@ from fgrecon_research.evaluation.kitti_images import Car, ImageBoxes, ImageFrame
 from fgrecon_research.evaluation.text_table import TextTable
 from fgrecon_research.io.kitti_sets import read_image_set, stated_model, write_results
 
-
-def _folder(what: str, name: str) -> Any:
-    default = f"DATA/kitti_object/training/{name}"
-    return typer.Option(metavar="FOLDER", help=f"{what}.", show_default=default)
+_TRAINING = "DATA/kitti_object/training"
 
 
 @dataclass(frozen=True)
@@ -43,12 +40,10 @@ class KittiFolders:
     """Where images, labels and calibrations are: in KITTI's layout, or each in a folder of its own."""
 
     data: DataOption = DATA
-    images: Annotated[Path | None, _folder("Images", "image_2")] = None
-    labels: Annotated[Path | None, _folder("Label files", "label_2")] = None
-    calib: Annotated[Path | None, _folder("Calibration files", "calib")] = None
-    split: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="File of frame names.", show_default="all images")
-    ] = None
+    images: Path | None = option("Images.", metavar="FOLDER", show_default=f"{_TRAINING}/image_2")
+    labels: Path | None = option("Label files.", metavar="FOLDER", show_default=f"{_TRAINING}/label_2")
+    calib: Path | None = option("Calibration files.", metavar="FOLDER", show_default=f"{_TRAINING}/calib")
+    split: Path | None = option("File of frame names.", metavar="FILE", show_default="all images")
 
     def paths(self) -> tuple[Path, Path, Path]:
         """Folders of images, labels and calibrations.
@@ -74,21 +69,13 @@ class KittiFolders:
 class KittiCars:
     """The 2D boxes that cars are looked for in, and how they are reconstructed."""
 
-    boxes: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="2D detections, lines `image class score x1 y1 x2 y2`.",
-            show_default="the labelled boxes",
-        ),
-    ] = None
-    overlap: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Overlap with the labelled box that a detected one must exceed.")
-    ] = 0.7
-    box_model: Annotated[
-        BoxModel | None,
-        typer.Option(help="What the 2D boxes enclose.", show_default="cuboid; of FILE what its lines say"),
-    ] = None
+    boxes: Path | None = option(
+        "2D detections, lines `image class score x1 y1 x2 y2`.", metavar="FILE", show_default="the labelled boxes"
+    )
+    overlap: float = option(
+        "Overlap with the labelled box that a detected one must exceed.", default=0.7, min=0.0, max=1.0
+    )
+    box_model: BoxModel | None = option("What the 2D boxes enclose.", show_default="cuboid; of FILE what its lines say")
     weights: WeightsOption = None
     together: TogetherOption = True
     traffic: TrafficOption = None
@@ -111,7 +98,7 @@ class KittiCars:
 class KittiOutputs:
     """What is written beside the tables."""
 
-    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Contact sheet of every car.")] = None
+    picture: Path | None = option("Contact sheet of every car.", metavar="FILE")
     results_out: ResultsOption = None
     markdown: MarkdownOption = None
     json_out: JsonOption = None

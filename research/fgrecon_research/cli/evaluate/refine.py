@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from fgrecon.calibration.labelled_drives import read_folds
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import BoxErrorOptions, FoldOption, JsonOption, SceneOptions, WeightsOption
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal, counting
@@ -30,17 +31,14 @@ from fgrecon_research.evaluation.text_table import TextTable
 class BoxesBefore:
     """The 3D boxes that are refined."""
 
-    boxes: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER|FILE",
-            help="A detector's boxes of the only drive, as for `evaluate boxes`.",
-            show_default="the labelled ones, disturbed by the errors given",
-        ),
-    ] = None
-    min_score: Annotated[float, typer.Option(help="Boxes of a lower score are none.")] = 0.5
-    seed: Annotated[int, typer.Option(help="Of the errors that labels are disturbed by.")] = 0
-    every: Annotated[int, typer.Option(min=1, help="Take every so many of the images that count.")] = 1
+    boxes: Path | None = option(
+        "A detector's boxes of the only drive, as for `evaluate boxes`.",
+        metavar="FOLDER|FILE",
+        show_default="the labelled ones, disturbed by the errors given",
+    )
+    min_score: float = option("Boxes of a lower score are none.", default=0.5)
+    seed: int = option("Of the errors that labels are disturbed by.", default=0)
+    every: int = option("Take every so many of the images that count.", default=1, min=1)
 
     def of(self, drive: Drive, number: int, place: Path) -> np.random.Generator | dict[int, Objects]:
         """A detector's cars of a drive by frame, or what the labels of the drive of that number are disturbed by."""

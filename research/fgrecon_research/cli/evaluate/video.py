@@ -11,6 +11,7 @@ import typer
 
 from fgrecon.calibration.labelled_drives import ScoredDrives
 from fgrecon.calibration.labelled_frames import ScoredFrame, reconstruct_frame
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import DriveOptions, DrivesArgument, JsonOption, LabelledScene, fitting_names
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Screen, Terminal
@@ -42,22 +43,18 @@ _COLUMNS = 5
 class Sensors:
     """Which other sensors' evidence is scored beside the picture alone."""
 
-    lidar: Annotated[
-        bool,
-        typer.Option(
-            "--lidar", help="Score with the LiDAR as well (folder lidar or velodyne), beside crude baselines."
-        ),
-    ] = False
-    right: Annotated[
-        bool, typer.Option("--right", help="The same with the right image of a rectified pair (folder image_03).")
-    ] = False
+    lidar: bool = option(
+        "Score with the LiDAR as well (folder lidar or velodyne), beside crude baselines.", "--lidar", default=False
+    )
+    right: bool = option(
+        "The same with the right image of a rectified pair (folder image_03).", "--right", default=False
+    )
 
-    depth: Annotated[
-        bool,
-        typer.Option(
-            "--depth", help="The same with depth maps made of the scans: in metres, and up to a scale and a shift."
-        ),
-    ] = False
+    depth: bool = option(
+        "The same with depth maps made of the scans: in metres, and up to a scale and a shift.",
+        "--depth",
+        default=False,
+    )
 
     @property
     def chosen(self) -> list[Sensor]:
@@ -69,12 +66,8 @@ class Sensors:
 class VideoOutputs:
     """What is written."""
 
-    picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help=f"Contact sheet of the {_WORST} worst tracks' worst boxes.")
-    ] = None
-    table: Annotated[Path | None, typer.Option(metavar="FILE", help="Rows by box and method as .csv or .parquet.")] = (
-        None
-    )
+    picture: Path | None = option(f"Contact sheet of the {_WORST} worst tracks' worst boxes.", metavar="FILE")
+    table: Path | None = option("Rows by box and method as .csv or .parquet.", metavar="FILE")
     results_out: ResultsOption = None
     markdown: MarkdownOption = None
     json_out: JsonOption = None

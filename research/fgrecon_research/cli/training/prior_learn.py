@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from fgrecon.cli.commands import option
 from fgrecon.cli.options import FLEETS
 from fgrecon.cli.terminal import Advance, Screen, Terminal
 from fgrecon.core.errors import InvalidInputError
@@ -24,35 +25,27 @@ from fgrecon_research.training.priors.nrsfm import NrsfmOptions, NrsfmProgress, 
 class AnnotationOptions:
     """Which annotated images are learnt from."""
 
-    images: Annotated[
-        int | None, typer.Option(min=1, help="Learn from so many images, spread over vehicles and views.")
-    ] = None
-    min_visible: Annotated[int, typer.Option(min=4, help="Fewest annotated keypoints of an image that is used.")] = 8
-    rename: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="THEIRS=OURS", help="A keypoint's name in the files and in the category; repeat for more."
-        ),
-    ] = None
+    images: int | None = option("Learn from so many images, spread over vehicles and views.", min=1)
+    min_visible: int = option("Fewest annotated keypoints of an image that is used.", default=8, min=4)
+    rename: list[str] | None = option(
+        "A keypoint's name in the files and in the category; repeat for more.", metavar="THEIRS=OURS"
+    )
 
 
 @dataclass(frozen=True)
 class Learning:
     """How the prior is learnt."""
 
-    basis: Annotated[int, typer.Option(min=0, help="Number of basis vectors.")] = 5
-    perspective: Annotated[
-        bool, typer.Option("--perspective", help="Take perspective out of the annotations to first order.")
-    ] = False
-    restarts: Annotated[int, typer.Option(min=1, help="Random starts; the best likelihood is kept.")] = 3
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0
-    proportions: Annotated[
-        float,
-        typer.Option(min=0.0, max=1.0, help="How far length, width and height of the mean go to those of the fleet."),
-    ] = 0.75
-    bootstrap: Annotated[
-        int, typer.Option(min=0, help="Draws of the vehicles that tell how sure the mean is; 0 for none.")
-    ] = 12
+    basis: int = option("Number of basis vectors.", default=5, min=0)
+    perspective: bool = option(
+        "Take perspective out of the annotations to first order.", "--perspective", default=False
+    )
+    restarts: int = option("Random starts; the best likelihood is kept.", default=3, min=1)
+    seed: int = option("Seed of everything random.", default=0, min=0)
+    proportions: float = option(
+        "How far length, width and height of the mean go to those of the fleet.", default=0.75, min=0.0, max=1.0
+    )
+    bootstrap: int = option("Draws of the vehicles that tell how sure the mean is; 0 for none.", default=12, min=0)
 
 
 def learn_command(
