@@ -50,6 +50,12 @@ class Upload:
     names: Uploaded
     files: Mapping[str, bytes | Path]
 
+    @classmethod
+    def of(cls, names: Uploaded, files: Mapping[str, bytes | Path]) -> Upload:
+        """The files of these names, among others."""
+        wanted = (names.main, names.camera, names.boxes, names.photograph)
+        return cls(names, {one: files[one] for one in wanted if one})
+
     def with_file(self, kind: Kind, name: str, content: bytes | Path) -> Upload:
         """Another file comes: a photograph or keypoints begin anew, but for what is about them."""
         before = self.names
@@ -64,9 +70,7 @@ class Upload:
             names = replace(before, photograph=name)
         else:
             names = Uploaded(name, camera=before.camera, boxes=None if before.main else before.boxes)
-        files = {**self.files, name: content}
-        wanted = (names.main, names.camera, names.boxes, names.photograph)
-        return Upload(names, {one: files[one] for one in wanted if one})
+        return Upload.of(names, {**self.files, name: content})
 
     @property
     def photograph(self) -> str | None:
@@ -183,16 +187,14 @@ class Visit:
             raise FgreconError("Keypoints in a box need the photograph: drop it as well.")
         if photograph is not None and not self.by_hand:
             boxes = tuple(",".join(f"{x:.1f}" for x in box) for box in editor.boxes if box)
-            names = Uploaded(photograph, camera=self.upload.names.camera)
-            self.requested = replace(self.requested, box=boxes)
+            names, files = Uploaded(photograph, camera=self.upload.names.camera), self.upload.files
         else:
             found = await self._detected(photograph) if editor.mode == BOXES else {}
             text = json.dumps(editor.keypoint_file(self.view, found), allow_nan=False).encode()
-            self.upload = replace(self.upload, files={**self.upload.files, _EDITED: text})
-            names = Uploaded(_EDITED, camera=self.upload.names.camera, photograph=photograph)
-            self.requested = replace(self.requested, box=())
-        wanted = (names.main, names.camera, names.photograph)
-        self.upload = Upload(names, {one: self.upload.files[one] for one in wanted if one})
+            names, boxes = Uploaded(_EDITED, camera=self.upload.names.camera, photograph=photograph), ()
+            files = {**self.upload.files, _EDITED: text}
+        self.requested = replace(self.requested, box=boxes)
+        self.upload = Upload.of(names, files)
 
     async def _detected(self, photograph: str | None) -> dict[int, dict[str, object]]:
         """Instances by the networks for the boxes that were drawn or changed, by their number."""

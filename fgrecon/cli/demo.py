@@ -54,7 +54,12 @@ def demo_command(
     out.mkdir(parents=True, exist_ok=True)
     prior = load_prior("car14")
     scene = demo_scene(prior, seed)
-    observation, camera, image, truth = scene.observation, scene.camera, scene.picture.image, report.true_values(scene)
+    observation, camera, image, truth = (
+        scene.observation,
+        scene.camera,
+        scene.picture.image,
+        report.true_values(scene.truth),
+    )
     result = reconstruct(observation, camera, prior=prior, ground=scene.ground)
     stages = report.stages(result, prior.category, truth)
     document = json.dumps(report.document(seed, scene, truth, stages, result), allow_nan=False) + "\n"

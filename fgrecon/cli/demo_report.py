@@ -20,6 +20,7 @@ from fgrecon.io.export.results import DEMO_FORMAT
 from fgrecon.simulation.demo import DemoScene
 from fgrecon.simulation.keypoint_noise import OUTLIER
 from fgrecon.simulation.sample import GROUND, SampleStreet, sample_street
+from fgrecon.simulation.vehicles import SimulatedTruth
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.viz import DrawnVehicle, Truth, scene_picture
 from fgrecon.viz.describe import describe_bounds
@@ -38,10 +39,10 @@ class Stage:
     errors: dict[str, float]  # distances from the truth, by the names of `fgrecon.viz.subjects`
 
 
-def true_values(scene: DemoScene) -> Truth:
-    """Pose, size and keypoints that the scene was made from."""
-    vehicle = scene.truth.vehicle
-    return Truth(scene.truth.camera_T_object, _size(vehicle.category, vehicle.keypoints), vehicle.keypoints)
+def true_values(truth: SimulatedTruth) -> Truth:
+    """Pose, size and keypoints that an observation was made from."""
+    vehicle = truth.vehicle
+    return Truth(truth.camera_T_object, _size(vehicle.category, vehicle.keypoints), vehicle.keypoints)
 
 
 def stages(result: Reconstruction, category: Category, truth: Truth) -> list[Stage]:
@@ -155,10 +156,8 @@ def solved_street(prior: ShapePrior, street: SampleStreet) -> list[DrawnVehicle]
     """The cars of a street, reconstructed, with the truth."""
     shown = []
     for number, car in enumerate(street.cars, start=1):
-        observation, vehicle = car.observation, car.truth.vehicle
-        truth = Truth(car.truth.camera_T_object, _size(vehicle.category, vehicle.keypoints), vehicle.keypoints)
-        result = reconstruct(observation, street.camera, prior=prior, ground=GROUND)
-        shown.append(DrawnVehicle(number, car.truth.box, result, truth=truth))
+        result = reconstruct(car.observation, street.camera, prior=prior, ground=GROUND)
+        shown.append(DrawnVehicle(number, car.truth.box, result, truth=true_values(car.truth)))
     return shown
 
 

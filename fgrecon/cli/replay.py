@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -143,21 +141,15 @@ def _document(recording: Path, content: Replay) -> dict[str, Any]:
 
 
 def _content(content: Replay) -> dict[str, Any]:
+    from fgrecon.core.serialise import plain
+
     plots = {
-        name: {"frames": series.times.tolist(), "names": series.names, "values": series.values.tolist()}
+        name: {"frames": series.times, "names": series.names, "values": series.values}
         for name, series in _of_video(content).items()
     }
     return {
-        **({"plots": _plain(plots)} if plots else {}),
-        "stages": [_plain(asdict(stage)) for stage in content.summary()],
+        **({"plots": plain(plots)} if plots else {}),
+        "stages": plain(content.summary()),
         "frames": {str(number): len(steps) for number, steps in content.frames.items()},
-        "log": [asdict(line) for line in content.log],
+        "log": plain(content.log),
     }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain, islice
 from pathlib import Path
@@ -109,9 +109,8 @@ def film(path: Path, source: FrameSource, frames: FrameStore, camera: Camera, ad
         InvalidInputError: The file cannot be written.
     """
     with write_video(path, rate=_rate([head.time for head in frames.heads])) as add:
-        draw = _Drawing(add, camera)
-        for frame, image in _with_images(source, frames, advance, "Filming"):
-            draw(frame, image)
+        for frame, image in _drawn(_with_images(source, frames, advance, "Filming"), camera):
+            add(image, frame.time)
     return path
 
 
@@ -121,22 +120,16 @@ def _rate(times: Sequence[float]) -> float:
     return 1.0 / float(np.median(passed)) if len(passed) and np.median(passed) > 0 else _RATE
 
 
-class _Drawing:
-    """Draws frame after frame of a video."""
-
-    def __init__(self, add: Callable[[Image, float | None], None], camera: Camera) -> None:
-        self._add, self._camera, self._showing = add, camera, Showing()
-        self._size: tuple[int, ...] | None = None
-
-    def __call__(self, frame: TrackedFrame, image: Image | None) -> None:
-        """Draw a frame; one that could not be used is left out."""
+def _drawn(frames: Iterable[tuple[TrackedFrame, Image | None]], camera: Camera) -> Iterator[tuple[TrackedFrame, Image]]:
+    """The frames of a video with what is drawn into them; those that could not be used are left out."""
+    showing, size = Showing(), None
+    for frame, image in frames:
         if image is None or frame.problem is not None:
-            return
-        self._size = image.shape if self._size is None else self._size
-        if image.shape != self._size:  # videos may change it on their way
-            return
-        caption = f"frame {frame.number}, {frame.time:.2f} s"
-        self._add(annotated(image, self._showing.vehicles(frame), self._camera, caption=caption), frame.time)
+            continue
+        size = image.shape if size is None else size
+        if image.shape == size:  # videos may change it on their way
+            caption = f"frame {frame.number}, {frame.time:.2f} s"
+            yield frame, annotated(image, showing.vehicles(frame), camera, caption=caption)
 
 
 class LiveFilm:
@@ -183,9 +176,8 @@ class LiveFilm:
         first = list(islice(frames, 2))
         try:
             with suppress(_Left), write_video(self._path, rate=_rate([frame.time for frame, _ in first])) as add:
-                draw = _Drawing(add, self._camera)
-                for frame, image in chain(first, frames if len(first) == 2 else ()):
-                    draw(frame, image)
+                for frame, image in _drawn(chain(first, frames if len(first) == 2 else ()), self._camera):
+                    add(image, frame.time)
                 if not self._whole:
                     raise _Left
         except Exception as error:  # noqa: BLE001 - raised by `end`
