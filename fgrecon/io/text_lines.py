@@ -31,13 +31,14 @@ def named_lines(path: Path, field: str = "calibration") -> Mapping[str, list[str
     """The words of each line `name: words`; KITTI's tracking set has no colon after some names.
 
     Raises:
-        InvalidInputError: The file cannot be read.
+        InvalidInputError: The file cannot be read, or has two lines of a name that differ.
     """
-    found = {}
+    found: dict[str, list[str]] = {}
     for _, line in filled_lines(path, field):
         before, colon, after = line.partition(":")
         name, *words = [before.strip(), *after.split()] if colon else line.split()
-        found[name] = words
+        if found.setdefault(name, words) != words:
+            raise InvalidInputError(f"{path}: {name}", "two such lines that differ", "Give one.")
     return found
 
 

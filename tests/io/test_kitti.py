@@ -42,6 +42,7 @@ def test_another_projection(tmp_path):
         f"P2: {P2.replace('604.0814', 'nan')}",
         f"P2: {P2.replace('604.0814', 'many')}",
         f"P2: {P2.replace('707.0493', '0')}",
+        f"P2: {P2}\nP2: {P2.replace('707.0493', '907.0493')}",
     ],
 )
 def test_a_bad_file_names_file_and_line(tmp_path, text):

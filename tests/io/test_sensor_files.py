@@ -94,6 +94,11 @@ def test_surveys(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_points(tmp_path / "scan.las"), POINTS, atol=1e-3)
 
 
+_NO_VERTEX = (
+    b"ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -103,6 +108,8 @@ def test_surveys(tmp_path: Path) -> None:
         ("scan.npy", b"nothing", "unreadable"),
         ("scan.npz", b"nothing", "unreadable"),
         ("scan.ply", b"nothing", "whole file"),
+        ("scan.ply", _NO_VERTEX, "at least one finite point"),
+        ("scan.pcd", b"nothing", r"The reason: [^\n]+\Z"),
         ("gone.bin", None, "can be read"),
     ],
 )

@@ -58,7 +58,7 @@ def read_depth(path: str | Path, per_metre: float | None = None) -> Array:
         fix = "Give 16 bits or more: a picture of a depth map, in 256 greys or colours, is none."
         raise InvalidInputError("depth", f"{file}: 8 bits", fix)
     if per_metre is None and numbers.dtype.kind in "iu" and ending != ".png":
-        fix = "Say how many of the file's whole numbers are a metre: 1000 where they are millimetres."
+        fix = "Give metres, or say how many are a metre (`per_metre`), or that it is unknown (--depth-scale scale)."
         raise InvalidInputError("depth_per_metre", f"none, for {file.name}", fix)
     factor = per_metre or (KITTI_PER_METRE if ending == ".png" else 1.0)
     depth: Array = numbers.astype(np.float64) / factor

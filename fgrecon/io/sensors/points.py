@@ -145,7 +145,8 @@ def read_cloud(path: Path) -> Cloud:
     except FgreconError:
         raise
     except Exception as error:  # the packages promise no kind of error for damaged content
-        raise InvalidInputError("lidar", str(path), f"Give a whole file of its kind. The reason: {error}") from error
+        reason = str(error).partition("\n")[0]
+        raise InvalidInputError("lidar", str(path), f"Give a whole file of its kind. The reason: {reason}") from error
     kept = points[np.isfinite(points).all(axis=1)]
     if not len(kept):
         raise NoPointError("lidar", str(path), "Give a file with at least one finite point.")
@@ -205,7 +206,8 @@ def _pcd(content: bytes, path: Path) -> _Read:
 def _ply(content: bytes, path: Path) -> _Read:  # noqa: ARG001 - as all readers
     import trimesh
 
-    return PointFrame.UNKNOWN, trimesh.load(BytesIO(content), file_type="ply", process=False).vertices
+    loaded = trimesh.load(BytesIO(content), file_type="ply", process=False)
+    return PointFrame.UNKNOWN, getattr(loaded, "vertices", np.zeros((0, 3)))  # an empty file is a scene without any
 
 
 def _las(content: bytes, path: Path) -> _Read:
