@@ -2,9 +2,9 @@
 # pycolmap 4.2.1, refine_absolute_pose(..., return_covariance=True): a covariance of six numbers, the rotation's first.
 #
 # Guess: the covariance of a rotation vector in radians, and of the translation beside it.
-# Seen: it is that of half the rotation vector, as the vector part of a small quaternion is: over 400 images of one camera with noise of a pixel the rotation
-# scatters by twice the deviation that is told, the translation by what is told. A filter or a pose graph that takes these covariances trusts
-# the rotation four times as much as it may; rows and columns of the rotation have to be doubled.
+# Seen: it is that of half the rotation vector, as the vector part of a small quaternion is: over 400 images of one
+# camera with noise of a pixel the rotation scatters by twice the deviation that is told, the translation by what is told. A filter or a
+# pose graph that takes these covariances trusts the rotation four times as much as it may; rows and columns of the rotation have to be doubled.
 set -euo pipefail
 folder=$(mktemp -d); trap 'rm -rf "$folder"' EXIT; cd "$folder"
 python3 -m venv env && env/bin/pip install --quiet pycolmap==4.2.1 numpy==2.3.5 scipy==1.16.3
