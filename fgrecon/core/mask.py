@@ -19,6 +19,7 @@ _FIX = "Give (H, W) numbers, zero where the vehicle is not, with a pixel at leas
 _PIECE = 0.05  # of the largest piece of a mask: smaller ones are strays
 _SIGMA = 0.01  # of a mask's size, of its outline: no network's is much better, and no shape of the prior meets it
 _MARGIN = 2  # pixels about a mask that are kept: what its distance field needs
+_MOST_PIXELS = 1 << 28  # of an image: more fill the memory
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -107,13 +108,18 @@ class Mask:
         """
         import cv2  # on use: importing fgrecon must not import OpenCV
 
-        listed = isinstance(polygons, list | tuple) and len(polygons) > 0
-        pairs = not listed or np.size(polygons[0]) <= 2  # one polygon: its corners, or its numbers
-        several = [polygons] if pairs else polygons
+        _check_size(*image_size, "mask.polygon")
         whole = np.zeros(image_size[::-1], dtype=np.uint8)
         fix = "Give three corners (u, v) at least, in pixels."
-        for one in several:
-            corners = as_finite("mask.polygon", np.reshape(np.asarray(one, dtype=np.float64), (-1, 2)), (None, 2), fix)
+        try:
+            listed = isinstance(polygons, list | tuple) and len(polygons) > 0
+            pairs = not listed or np.size(polygons[0]) <= 2  # one polygon: its corners, or its numbers
+            several = [polygons] if pairs else polygons
+            each = [np.reshape(np.asarray(one, dtype=np.float64), (-1, 2)) for one in several]
+        except (TypeError, ValueError):
+            raise InvalidInputError("mask.polygon", polygons, fix) from None
+        for one in each:
+            corners = as_finite("mask.polygon", one, (None, 2), fix)
             if len(corners) < 3:
                 raise InvalidInputError("mask.polygon", corners.tolist(), fix)
             cv2.fillPoly(whole, [np.round(corners * 16.0).astype(np.int32)], 1, shift=4)
@@ -140,6 +146,7 @@ class Mask:
             raise InvalidInputError("mask.rle", type(rle).__name__, fix) from None
         if min(runs, default=-1) < 0 or height < 1 or width < 1 or sum(runs) != height * width:
             raise InvalidInputError("mask.rle", f"{sum(runs)} pixels of {height} x {width}", fix)
+        _check_size(width, height, "mask.rle")
         filled = np.repeat(np.arange(len(runs)) % 2, runs)
         return cls(filled.reshape(width, height).T, hides=hides, sigma=sigma)
 
@@ -246,6 +253,11 @@ def _overlap(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
         return 0.0
     both = float(np.prod(sides))
     return both / (float(np.prod(one[2:] - one[:2] + 1.0) + np.prod(other[2:] - other[:2] + 1.0)) - both)
+
+
+def _check_size(width: int, height: int, field: str) -> None:
+    if width * height > _MOST_PIXELS:
+        raise InvalidInputError(field, f"an image of {width} x {height} pixels", f"Give at most {_MOST_PIXELS} pixels.")
 
 
 def _run_lengths(packed: str | bytes) -> list[int]:
