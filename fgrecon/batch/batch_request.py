@@ -24,37 +24,23 @@ from fgrecon.perception.sensor_source import SensorSource
 
 @dataclass(frozen=True)
 class BatchRequest:
-    """What is requested of many files.
+    """What is requested of many files."""
 
-    Attributes:
-        inputs: Files of keypoints, images, videos, or folders of them.
-        out: Folder of the parts, made where it does not exist.
-        settings: What holds for every vehicle.
-        camera: The given camera; without one each row brings its own.
-        names: What the keypoints are called, as `fgrecon.keypoints_from` takes it; None where they say it.
-        weights: Keypoint network, or None for the shipped one.
-        jobs: Processes here, or actors at most on Ray.
-        ray: Address of a Ray cluster, or `auto`; None for processes of this machine.
-        every: Of videos every so many frames.
-        batch_rows: Rows that a worker gets at once, or None.
-        sensors: Other sensors' files of images, or None.
-        boxes: Boxes of images' cars; without a file the detector looks for them.
-        table: File that gets all rows of the folder as one table (csv, parquet), or None.
-    """
-
-    inputs: Sequence[Path]
-    out: Path
-    settings: RunSettings
-    camera: CameraSource = field(default_factory=CameraSource)
+    inputs: Sequence[Path]  # files of keypoints, images, videos, or folders of them
+    out: Path  # folder of the parts, made where it does not exist
+    settings: RunSettings  # what holds for every vehicle
+    camera: CameraSource = field(default_factory=CameraSource)  # the given camera; without one each row brings its own
+    # what the keypoints are called, as `fgrecon.keypoints_from` takes it; None where they say it
     names: str | None = None
-    weights: Path | None = None
-    jobs: int = 1
-    ray: str | None = None
-    every: int = 1
-    batch_rows: int | None = None
-    sensors: SensorSource | None = None
+    weights: Path | None = None  # keypoint network, or None for the shipped one
+    jobs: int = 1  # processes here, or actors at most on Ray
+    ray: str | None = None  # address of a Ray cluster, or `auto`; None for processes of this machine
+    every: int = 1  # of videos every so many frames
+    batch_rows: int | None = None  # rows that a worker gets at once, or None
+    sensors: SensorSource | None = None  # other sensors' files of images, or None
+    # boxes of images' cars; without a file the detector looks for them
     boxes: GivenBoxes = field(default_factory=GivenBoxes)
-    table: Path | None = None
+    table: Path | None = None  # file that gets all rows of the folder as one table (csv, parquet), or None
 
 
 def reconstruct_files(request: BatchRequest, report: Callable[[Tally], None] = lambda _: None) -> Tally:

@@ -43,34 +43,22 @@ from fgrecon.perception.sensor_source import SensorSource
 
 @dataclass(frozen=True)
 class FileRequest:
-    """What is requested of a file.
+    """What is requested of a file."""
 
-    Attributes:
-        settings: What holds for every vehicle.
-        source: What is given of the camera.
-        boxes: Of a photograph, where the boxes are from.
-        weights: Of a photograph, the keypoint network; None for the shipped one.
-        box_model: What 2D boxes of a photograph enclose; None for what their source says.
-        names: Of keypoints, what they are called, as `fgrecon.keypoints_from` takes it; None where they say it.
-        sensors: Other sensors' files, or None.
-        together: Whether the vehicles of an image share its ground; None for those of photographs, where pose and shape
-            move together.
-        jobs: Processes.
-        models: Car models that vehicles are compared with.
-        watch: Shows progress.
-    """
-
-    settings: RunSettings
-    source: CameraSource = field(default_factory=CameraSource)
-    boxes: GivenBoxes = field(default_factory=GivenBoxes)
-    weights: Path | None = None
-    box_model: BoxModel | None = None
+    settings: RunSettings  # what holds for every vehicle
+    source: CameraSource = field(default_factory=CameraSource)  # what is given of the camera
+    boxes: GivenBoxes = field(default_factory=GivenBoxes)  # of a photograph, where the boxes are from
+    weights: Path | None = None  # of a photograph, the keypoint network; None for the shipped one
+    box_model: BoxModel | None = None  # what 2D boxes of a photograph enclose; None for what their source says
+    # of keypoints, what they are called, as `fgrecon.keypoints_from` takes it; None where they say it
     names: str | None = None
-    sensors: SensorSource | None = None
+    sensors: SensorSource | None = None  # other sensors' files, or None
+    # whether the vehicles of an image share its ground; None for those of photographs, where pose and shape move
+    # together
     together: bool | None = None
-    jobs: int = 1
-    models: Sequence[VehicleMesh] = ()
-    watch: Watch = unwatched
+    jobs: int = 1  # processes
+    models: Sequence[VehicleMesh] = ()  # car models that vehicles are compared with
+    watch: Watch = unwatched  # shows progress
 
     def shares_ground(self, file: Path) -> bool:
         """Whether the vehicles of a file's images are solved together."""
@@ -145,18 +133,12 @@ def _with_evidence(tasks: list[VehicleTask], sensors: SensorSource | None, file:
 
 @dataclass(frozen=True)
 class SolvedFile:
-    """What became of the vehicles of a file.
-
-    Attributes:
-        settings: What held for all.
-        outcomes: One per vehicle.
-        images: What was solved together.
-    """
+    """What became of the vehicles of a file."""
 
     read: ReadFile
-    settings: RunSettings
-    outcomes: list[Outcome]
-    images: list[SolvedImage]
+    settings: RunSettings  # what held for all
+    outcomes: list[Outcome]  # one per vehicle
+    images: list[SolvedImage]  # what was solved together
 
     @property
     def grounds(self) -> dict[str | None, Ground | None]:

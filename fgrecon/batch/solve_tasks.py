@@ -44,15 +44,10 @@ class Outcome:
 
 @dataclass(frozen=True)
 class SolvedImage:
-    """An image whose vehicles were solved together.
+    """An image whose vehicles were solved together."""
 
-    Attributes:
-        image: Its name; None where the input does not say, which makes all its vehicles one image's.
-        result: What was estimated.
-    """
-
-    image: str | None
-    result: SceneReconstruction
+    image: str | None  # its name; None where the input does not say, which makes all its vehicles one image's
+    result: SceneReconstruction  # what was estimated
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""

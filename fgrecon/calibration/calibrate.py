@@ -27,16 +27,11 @@ _NUMBERS = "How far the network's errors go together, and its facings,"
 
 @dataclass(frozen=True)
 class CalibratedDetector:
-    """A calibration and what it was fitted on.
+    """A calibration and what it was fitted on."""
 
-    Attributes:
-        calibration: What is written; its provenance has the warnings.
-        scored: The drives, reconstructed as the network says its errors.
-        fitted: What was fitted of the network, and how it holds without a drive; None where that could not be.
-    """
-
-    calibration: DetectorCalibration
-    scored: ScoredDrives
+    calibration: DetectorCalibration  # what is written; its provenance has the warnings
+    scored: ScoredDrives  # the drives, reconstructed as the network says its errors
+    # what was fitted of the network, and how it holds without a drive; None where that could not be
     fitted: FittedDetector | None
 
     @property

@@ -37,23 +37,17 @@ def as_stated(factor: float) -> KeypointOptions:
 
 @dataclass(frozen=True)
 class FittedDetector:
-    """What was fitted, and how well it holds on drives that were left out.
+    """What was fitted, and how well it holds on drives that were left out."""
 
-    Attributes:
-        calibration: What was fitted to all drives.
-        inside: Share of the errors of position and yaw within their regions, by level (`SIGMAS`): fitted without the
-            drive. NaN with a single drive.
-        facing_error: Expected calibration error of the facing, likewise.
-        warnings: Sentences that say what could not be fitted, lies at an end of what was tried, or does not hold, or is
-            not known to hold, on drives that were left out; in the calibration's provenance as well.
-        flipped: Number of vehicles whose heading is flipped; too few leave the facing's numbers at the default ones.
-    """
-
-    calibration: DetectorCalibration
+    calibration: DetectorCalibration  # what was fitted to all drives
+    # share of the errors of position and yaw within their regions, by level (`SIGMAS`): fitted without the drive. NaN
+    # with a single drive.
     inside: Mapping[str, Mapping[float, float]]
-    facing_error: float
+    facing_error: float  # expected calibration error of the facing, likewise
+    # sentences that say what could not be fitted, lies at an end of what was tried, or does not hold, or is not known
+    # to hold, on drives that were left out; in the calibration's provenance as well
     warnings: tuple[str, ...]
-    flipped: int
+    flipped: int  # number of vehicles whose heading is flipped; too few leave the facing's numbers at the default ones
 
 
 def check_labels(drives: Sequence[Drive]) -> None:

@@ -42,31 +42,18 @@ class GivenScene:
 
 @dataclass(frozen=True)
 class DriveRequest:
-    """Which drives are scored, and how they are reconstructed.
+    """Which drives are scored, and how they are reconstructed."""
 
-    Attributes:
-        folders: Of the drives.
-        given: What is known of the scene.
-        weights: Keypoint network of the drives that no fold names; None for the shipped one.
-        folds: `DRIVE[,DRIVE...]=FILE` each: the network of these drives.
-        box_model: What the 2D boxes enclose; None for what their source says.
-        together: Whether the vehicles of an image share its ground.
-        traffic: Side of the road that traffic keeps to, or None.
-        detect: Whether the boxes are those of the shipped vehicle detector instead of the labelled ones.
-        classes: Who says of which class the vehicles are, or None.
-        jobs: Processes.
-    """
-
-    folders: Sequence[Path]
-    given: GivenScene
-    weights: Path | None = None
-    folds: Sequence[str] = ()
-    box_model: BoxModel | None = None
-    together: bool = True
-    traffic: TrafficSide | None = None
-    detect: bool = False
-    classes: ClassSource | None = None
-    jobs: int = 1
+    folders: Sequence[Path]  # of the drives
+    given: GivenScene  # what is known of the scene
+    weights: Path | None = None  # keypoint network of the drives that no fold names; None for the shipped one
+    folds: Sequence[str] = ()  # `DRIVE[,DRIVE...]=FILE` each: the network of these drives
+    box_model: BoxModel | None = None  # what the 2D boxes enclose; None for what their source says
+    together: bool = True  # whether the vehicles of an image share its ground
+    traffic: TrafficSide | None = None  # side of the road that traffic keeps to, or None
+    detect: bool = False  # whether the boxes are those of the shipped vehicle detector instead of the labelled ones
+    classes: ClassSource | None = None  # who says of which class the vehicles are, or None
+    jobs: int = 1  # processes
 
     @property
     def boxes(self) -> str:

@@ -49,29 +49,19 @@ class SceneKnowledge:
 
 @dataclass(frozen=True)
 class Setup:
-    """What every car is reconstructed with.
+    """What every car is reconstructed with."""
 
-    Attributes:
-        detector: Finds the keypoints.
-        ground: Ground plane, or None.
-        size_prior: Fleet, or None.
-        options: Settings.
-        overlap: From which overlap on a detected box is a labelled car's.
-        together: Whether the vehicles of an image share one ground (`fgrecon.reconstruct_scene`).
-        vehicles: Finds the vehicles in frames of drives; None where the labelled boxes are the input.
-        classes: Who says of which class they are, or None.
-        classifier: The vehicle detector that says so of labelled boxes, where a detector does.
-    """
-
-    detector: KeypointCascade
+    detector: KeypointCascade  # finds the keypoints
     prior: ShapePrior
-    ground: Ground | None
-    size_prior: SizePrior | None
-    options: Options
-    overlap: float = MINIMUM_OVERLAP["Car"]
-    together: bool = True
+    ground: Ground | None  # ground plane, or None
+    size_prior: SizePrior | None  # fleet, or None
+    options: Options  # settings
+    overlap: float = MINIMUM_OVERLAP["Car"]  # from which overlap on a detected box is a labelled car's
+    together: bool = True  # whether the vehicles of an image share one ground (`fgrecon.reconstruct_scene`)
+    # finds the vehicles in frames of drives; None where the labelled boxes are the input
     vehicles: VehicleDetector | None = None
-    classes: ClassSource | None = None
+    classes: ClassSource | None = None  # who says of which class they are, or None
+    # the vehicle detector that says so of labelled boxes, where a detector does
     classifier: VehicleDetector | None = None
 
 

@@ -129,18 +129,12 @@ class Instance:
 
 @dataclass(frozen=True)
 class KeypointFile:
-    """The content of a file.
+    """The content of a file."""
 
-    Attributes:
-        instances: At least one, with distinct names.
-        ignored: Names of fields that mean nothing to fgrecon.
-        left_out: Why instances were left out, each with its place.
-        unknown: Keypoints of instances that the category does not have, which were left out, with their places.
-    """
-
-    instances: tuple[Instance, ...]
-    ignored: tuple[str, ...]
-    left_out: tuple[InvalidInputError, ...] = ()
+    instances: tuple[Instance, ...]  # at least one, with distinct names
+    ignored: tuple[str, ...]  # names of fields that mean nothing to fgrecon
+    left_out: tuple[InvalidInputError, ...] = ()  # why instances were left out, each with its place
+    # keypoints of instances that the category does not have, which were left out, with their places
     unknown: tuple[InvalidInputError, ...] = ()
 
 

@@ -25,17 +25,13 @@ _RECTIFIED_SIZES = {721.5377: (1242, 375), 707.0493: (1224, 370), 718.3351: (123
 
 @dataclass(frozen=True)
 class KittiCalibration:
-    """One camera of KITTI's rig.
+    """One camera of KITTI's rig."""
 
-    Attributes:
-        camera: The camera; its image's size follows from the focal length, where that is one of KITTI's.
-        label_offset: (3,) t in metres: KITTI's labels are in the rectified reference camera, and a labelled point in
-            this camera's frame is X + t (about 6 cm for the left colour camera).
-        camera_T_lidar: (4, 4) from the frame of the LiDAR to this camera's; None where the file has no such numbers.
-    """
-
-    camera: Camera
+    camera: Camera  # the camera; its image's size follows from the focal length, where that is one of KITTI's
+    # (3,) t in metres: KITTI's labels are in the rectified reference camera, and a labelled point in this camera's
+    # frame is X + t (about 6 cm for the left colour camera)
     label_offset: NDArray[np.float64]
+    # (4, 4) from the frame of the LiDAR to this camera's; None where the file has no such numbers
     camera_T_lidar: NDArray[np.float64] | None = None
 
 

@@ -35,31 +35,18 @@ _NOTHING = TrackedObjects(Objects.of_rows([], np.zeros((0, 14))), np.zeros(0, dt
 
 @dataclass(frozen=True, eq=False)
 class DriveFrame:
-    """One image of a drive.
+    """One image of a drive."""
 
-    Attributes:
-        number: Of the frame.
-        image: Its file.
-        objects: Labelled objects, whatever their kind; none where the frame is not labelled.
-        tracks: (M,) number of the track of each.
-        usable: (M,) whether nothing is drawn over the object in this image.
-        labelled: Whether the frame was labelled.
-        calibration: The camera, and the labels' offset in its frame.
-        time: When the image was taken, seconds, or None.
-        world_T_camera: (4, 4) pose of the camera in the drive's world, or None.
-        sweep: File of a LiDAR's points, where the data set names it; KITTI's lie beside the images.
-    """
-
-    number: int
-    image: Path
-    objects: Objects
-    tracks: NDArray[np.int64]
-    usable: NDArray[np.bool_]
-    labelled: bool
-    calibration: KittiCalibration
-    time: float | None = None
-    world_T_camera: NDArray[np.float64] | None = None
-    sweep: Path | None = None
+    number: int  # of the frame
+    image: Path  # its file
+    objects: Objects  # labelled objects, whatever their kind; none where the frame is not labelled
+    tracks: NDArray[np.int64]  # (M,) number of the track of each
+    usable: NDArray[np.bool_]  # (M,) whether nothing is drawn over the object in this image
+    labelled: bool  # whether the frame was labelled
+    calibration: KittiCalibration  # the camera, and the labels' offset in its frame
+    time: float | None = None  # when the image was taken, seconds, or None
+    world_T_camera: NDArray[np.float64] | None = None  # (4, 4) pose of the camera in the drive's world, or None
+    sweep: Path | None = None  # file of a LiDAR's points, where the data set names it; KITTI's lie beside the images
 
     @property
     def seconds(self) -> float:
@@ -75,15 +62,10 @@ class DriveFrame:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Consecutive images by one camera, or single images.
+    """Consecutive images by one camera, or single images."""
 
-    Attributes:
-        name: Of its folder.
-        frames: Those that have an image, in order; at least one.
-    """
-
-    name: str
-    frames: tuple[DriveFrame, ...]
+    name: str  # of its folder
+    frames: tuple[DriveFrame, ...]  # those that have an image, in order; at least one
 
     @property
     def calibration(self) -> KittiCalibration:

@@ -39,17 +39,12 @@ class GroundTruth:
 
 @dataclass(frozen=True)
 class TrackFrame:
-    """One vehicle in one image.
+    """One vehicle in one image."""
 
-    Attributes:
-        name: `<track>:<number of the frame>`, shown wherever the frame is mentioned.
-        observation: Keypoints, confidences and box; None where the frame has no measured keypoint at all.
-        truth: The labelled pose.
-    """
-
-    name: str
+    name: str  # `<track>:<number of the frame>`, shown wherever the frame is mentioned
+    # keypoints, confidences and box; None where the frame has no measured keypoint at all
     observation: Observation | None
-    truth: GroundTruth
+    truth: GroundTruth  # the labelled pose
 
 
 @dataclass(frozen=True)

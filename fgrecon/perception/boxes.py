@@ -27,19 +27,12 @@ _SAME_VEHICLE = 0.5  # intersection over union from which on a detected box is a
 
 @dataclass(frozen=True)
 class GivenBoxes:
-    """Where the boxes of images' cars are from; where nothing is given, the detector finds them.
+    """Where the boxes of images' cars are from; where nothing is given, the detector finds them."""
 
-    Attributes:
-        given: Boxes x1, y1, x2, y2 in pixels, of the cars' outlines.
-        file: File of boxes, or a folder of such, as `fgrecon.io.boxes.boxes_in` takes it; or None.
-        detect: Whether the detector is named, which only goes without the others.
-        least_score: Boxes of a lower score are left out; None for what suits their source.
-    """
-
-    given: Sequence[ArrayLike] = ()
-    file: Path | None = None
-    detect: bool = False
-    least_score: float | None = None
+    given: Sequence[ArrayLike] = ()  # boxes x1, y1, x2, y2 in pixels, of the cars' outlines
+    file: Path | None = None  # file of boxes, or a folder of such, as `fgrecon.io.boxes.boxes_in` takes it; or None
+    detect: bool = False  # whether the detector is named, which only goes without the others
+    least_score: float | None = None  # boxes of a lower score are left out; None for what suits their source
 
     def __post_init__(self) -> None:
         """Refuse several sources.

@@ -40,25 +40,16 @@ KINDS = "Car", "Van"
 
 @dataclass(frozen=True)
 class RefineRequest:
-    """What holds for all images.
+    """What holds for all images."""
 
-    Attributes:
-        errors: How far the boxes are off.
-        settings: Prior, ground, size prior and options.
-        camera: The given camera; its `calib` may be a folder with a file for each image.
-        min_score: Boxes of a lower score stay as they are.
-        weights: Keypoint network, or None for the shipped one.
-        box_origin: What the locations of the files are; those that are written are alike. nuScenes' are known.
-        sensors: Other sensors' files, or None.
-    """
-
-    errors: BoxErrors
-    settings: RunSettings
-    camera: CameraSource
-    min_score: float = 0.5
-    weights: Path | None = None
+    errors: BoxErrors  # how far the boxes are off
+    settings: RunSettings  # prior, ground, size prior and options
+    camera: CameraSource  # the given camera; its `calib` may be a folder with a file for each image
+    min_score: float = 0.5  # boxes of a lower score stay as they are
+    weights: Path | None = None  # keypoint network, or None for the shipped one
+    # what the locations of the files are; those that are written are alike. nuScenes' are known.
     box_origin: BoxOrigin = BoxOrigin.BOTTOM
-    sensors: SensorSource | None = None
+    sensors: SensorSource | None = None  # other sensors' files, or None
 
     def __post_init__(self) -> None:
         """Check the score.
@@ -73,23 +64,14 @@ class RefineRequest:
 
 @dataclass(frozen=True)
 class RefinedImage:
-    """An image whose boxes were refined.
+    """An image whose boxes were refined."""
 
-    Attributes:
-        image: It, and its objects.
-        camera: The camera; None where the image could not be used.
-        offset: (3,) where the labels' frame is from the camera's.
-        boxes: The vehicles with what became of their boxes.
-        error: Why nothing could be done, or None.
-        box_origin: What the locations of the file are.
-    """
-
-    image: BoxedImage[Boxed]
-    camera: Camera | None
-    offset: NDArray[np.float64]
-    boxes: tuple[tuple[Boxed, RefinedBox], ...]
-    error: FgreconError | None = None
-    box_origin: BoxOrigin = BoxOrigin.BOTTOM
+    image: BoxedImage[Boxed]  # it, and its objects
+    camera: Camera | None  # the camera; None where the image could not be used
+    offset: NDArray[np.float64]  # (3,) where the labels' frame is from the camera's
+    boxes: tuple[tuple[Boxed, RefinedBox], ...]  # the vehicles with what became of their boxes
+    error: FgreconError | None = None  # why nothing could be done, or None
+    box_origin: BoxOrigin = BoxOrigin.BOTTOM  # what the locations of the file are
 
     @property
     def changed(self) -> dict[int, Any]:

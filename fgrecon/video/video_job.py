@@ -72,57 +72,35 @@ Warn = Callable[[str], None]
 
 @dataclass(frozen=True)
 class VideoRequest:
-    """What is requested of a video.
+    """What is requested of a video."""
 
-    Attributes:
-        source: A video; images: their folder, or a pattern; a camera of a data set (`fgrecon.io.datasets`); a topic of
-            a bag (`fgrecon.io.bag_drive`); or a file of keypoints alone (json).
-        out: Folder of the results.
-        settings: What holds for every vehicle.
-        camera: The given camera.
-        fps: Frames per second of images without times, or None.
-        every: Every so many frames.
-        start: Seconds after the first frame before which none is taken.
-        end: Seconds after the first frame from which on none is taken, or None.
-        poses: File of the camera's poses; of a bag a topic of odometry, or a frame of TF; or None.
-        estimate_motion: Whether the camera's motion is estimated; None where that makes results better.
-        tracks: File of vehicles detected by others, or None.
-        forget_ids: Whether those are given ids anew.
-        box_model: What 2D boxes enclose; None for what their source says.
-        weights: Keypoint network, or None for the shipped one.
-        device: Where the networks run: `cpu`, `cuda` or `cuda:1`.
-        online: Whether estimates stay as they were when their frame came.
-        alone: Whether every image is taken on its own: no motion, no smoothing.
-        max_delay: Frames come as from a camera, and none has its estimates later than so many seconds after that, as
-            far as possible (`run_video`); needs one of the two before. None: each comes when it is wanted.
-        together: Whether the vehicles of an image share its ground.
-        video: Annotated video that is to be written afterwards, or None.
-        picture_frame: Frame that is to be drawn afterwards, or None.
-        sensors: Other sensors' files; of a bag its LiDAR; or None.
-    """
-
+    # a video; images: their folder, or a pattern; a camera of a data set (`fgrecon.io.datasets`); a topic of a bag
+    # (`fgrecon.io.bag_drive`); or a file of keypoints alone (json)
     source: str
-    out: Path
-    settings: RunSettings
-    camera: CameraSource = field(default_factory=CameraSource)
-    fps: float | None = None
-    every: int = 1
-    start: float = 0.0
-    end: float | None = None
-    poses: Path | None = None
+    out: Path  # folder of the results
+    settings: RunSettings  # what holds for every vehicle
+    camera: CameraSource = field(default_factory=CameraSource)  # the given camera
+    fps: float | None = None  # frames per second of images without times, or None
+    every: int = 1  # every so many frames
+    start: float = 0.0  # seconds after the first frame before which none is taken
+    end: float | None = None  # seconds after the first frame from which on none is taken, or None
+    poses: Path | None = None  # file of the camera's poses; of a bag a topic of odometry, or a frame of TF; or None
+    # whether the camera's motion is estimated; None where that makes results better
     estimate_motion: bool | None = None
-    tracks: Path | None = None
-    forget_ids: bool = False
-    box_model: BoxModel | None = None
-    weights: Path | None = None
-    device: str = "cpu"
-    online: bool = False
-    alone: bool = False
+    tracks: Path | None = None  # file of vehicles detected by others, or None
+    forget_ids: bool = False  # whether those are given ids anew
+    box_model: BoxModel | None = None  # what 2D boxes enclose; None for what their source says
+    weights: Path | None = None  # keypoint network, or None for the shipped one
+    device: str = "cpu"  # where the networks run: `cpu`, `cuda` or `cuda:1`
+    online: bool = False  # whether estimates stay as they were when their frame came
+    alone: bool = False  # whether every image is taken on its own: no motion, no smoothing
+    # frames come as from a camera, and none has its estimates later than so many seconds after that, as far as possible
+    # (`run_video`); needs one of the two before. None: each comes when it is wanted.
     max_delay: float | None = None
-    together: bool = True
-    video: Path | None = None
-    picture_frame: int | None = None
-    sensors: SensorSource | LidarTopic | None = None
+    together: bool = True  # whether the vehicles of an image share its ground
+    video: Path | None = None  # annotated video that is to be written afterwards, or None
+    picture_frame: int | None = None  # frame that is to be drawn afterwards, or None
+    sensors: SensorSource | LidarTopic | None = None  # other sensors' files; of a bag its LiDAR; or None
 
 
 @dataclass(frozen=True)

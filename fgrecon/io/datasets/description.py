@@ -36,28 +36,17 @@ UNKNOWN = -1
 
 @dataclass(frozen=True, eq=False)
 class WorldBox:
-    """An object with a 3D box.
+    """An object with a 3D box."""
 
-    Attributes:
-        name: What the data set calls it; no other box of the sequence has it.
-        kind: Its class, in the data set's words.
-        world_T_box: (4, 4) the box's centre and its axes forward, left, up, metres.
-        size: (3,) length, width and height, metres.
-        track: Of the object through the sequence, or None.
-        score: Of its detector, or None.
-        occlusion: KITTI's grade 0 to 2; -1 where it is not known.
-        velocity: (3,) in the world's frame, m/s, or None.
-        boxes: (4,) 2D boxes that people have drawn, by camera; else the projection of the 3D box is taken.
-    """
-
-    name: str
-    kind: str
-    world_T_box: Array
-    size: Array
-    track: str | None = None
-    score: float | None = None
-    occlusion: int = UNKNOWN
-    velocity: Array | None = None
+    name: str  # what the data set calls it; no other box of the sequence has it
+    kind: str  # its class, in the data set's words
+    world_T_box: Array  # (4, 4) the box's centre and its axes forward, left, up, metres
+    size: Array  # (3,) length, width and height, metres
+    track: str | None = None  # of the object through the sequence, or None
+    score: float | None = None  # of its detector, or None
+    occlusion: int = UNKNOWN  # KITTI's grade 0 to 2; -1 where it is not known
+    velocity: Array | None = None  # (3,) in the world's frame, m/s, or None
+    # (4,) 2D boxes that people have drawn, by camera; else the projection of the 3D box is taken
     boxes: Mapping[str, Array] = field(default_factory=dict)
 
     @property
@@ -92,29 +81,18 @@ class Sweep:
 
 @dataclass(frozen=True, eq=False)
 class CameraImage:
-    """An image.
+    """An image."""
 
-    Attributes:
-        camera: Name of the camera.
-        path: The file; it need not be there.
-        name: What the data set calls the image.
-        time: Seconds, by the data set's clock.
-        vehicle_T_camera: (4, 4) how it is mounted on the vehicle, in the vehicle's frame of the data set.
-        world_T_vehicle: (4, 4) pose of the vehicle when the image was taken.
-        moment: The moment whose boxes are those of the image; None where it is of none.
-        sweep: The LiDAR's that belongs to it, or None.
-        content: Gives the file, where the data set has it inside a table; it is then unpacked to `path`.
-    """
-
-    camera: str
-    path: Path
-    name: str
-    time: float
+    camera: str  # name of the camera
+    path: Path  # the file; it need not be there
+    name: str  # what the data set calls the image
+    time: float  # seconds, by the data set's clock
     lens: Camera
-    vehicle_T_camera: Array
-    world_T_vehicle: Array
-    moment: str | None
-    sweep: Sweep | None = None
+    vehicle_T_camera: Array  # (4, 4) how it is mounted on the vehicle, in the vehicle's frame of the data set
+    world_T_vehicle: Array  # (4, 4) pose of the vehicle when the image was taken
+    moment: str | None  # the moment whose boxes are those of the image; None where it is of none
+    sweep: Sweep | None = None  # the LiDAR's that belongs to it, or None
+    # gives the file, where the data set has it inside a table; it is then unpacked to `path`
     content: Callable[[], bytes] | None = None
 
     @property
@@ -139,38 +117,24 @@ class CameraImage:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """When objects are labelled, or to be found in a test set, all around at once.
+    """When objects are labelled, or to be found in a test set, all around at once."""
 
-    Attributes:
-        name: What the data set calls it, such as the token of a sample.
-        time: Seconds, by the data set's clock.
-        world_T_vehicle: (4, 4) pose of the vehicle then.
-        boxes: The objects.
-        labelled: Whether somebody has looked for them.
-    """
-
-    name: str
-    time: float
-    world_T_vehicle: Array
-    boxes: tuple[WorldBox, ...]
-    labelled: bool = True
+    name: str  # what the data set calls it, such as the token of a sample
+    time: float  # seconds, by the data set's clock
+    world_T_vehicle: Array  # (4, 4) pose of the vehicle then
+    boxes: tuple[WorldBox, ...]  # the objects
+    labelled: bool = True  # whether somebody has looked for them
 
 
 @dataclass(frozen=True, eq=False)
 class DataSequence:
-    """A drive of a vehicle with cameras.
+    """A drive of a vehicle with cameras."""
 
-    Attributes:
-        name: What the data set calls it.
-        moments: By their names.
-        cars: What the data set calls cars and vans, and KITTI's names for them (`Car`, `Van`).
-        continuous: Whether the images follow one another, with times and poses in one world; else each is by itself.
-    """
-
-    name: str
+    name: str  # what the data set calls it
     images: tuple[CameraImage, ...]
-    moments: Mapping[str, Moment]
-    cars: Mapping[str, str]
+    moments: Mapping[str, Moment]  # by their names
+    cars: Mapping[str, str]  # what the data set calls cars and vans, and KITTI's names for them (`Car`, `Van`)
+    # whether the images follow one another, with times and poses in one world; else each is by itself
     continuous: bool = True
 
     @cached_property

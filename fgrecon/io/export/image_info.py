@@ -39,26 +39,17 @@ class BagImage:
 
 @dataclass(frozen=True, eq=False)
 class ImageInfo:
-    """What is known of an image.
+    """What is known of an image."""
 
-    Attributes:
-        sample_token: NuScenes' token of the sample, Argoverse's time of the sweep; empty where the image is of none
-            that is evaluated; None where it is not known.
-        image_id: COCO's number or name of the image, or None.
-        timestamp: When it was taken, seconds; or None.
-        world_T_camera: (4, 4) pose of the camera in the world's frame, or None.
-        sequence: The drive that the image is of, such as Argoverse's log, or None.
-        world_T_vehicle: (4, 4) pose of the vehicle at the time of the sample, or None.
-        bag: Its message, where it is of a bag.
-    """
-
+    # NuScenes' token of the sample, Argoverse's time of the sweep; empty where the image is of none that is evaluated;
+    # None where it is not known
     sample_token: str | None = None
-    image_id: int | str | None = None
-    timestamp: float | None = None
-    world_T_camera: Array | None = None
-    sequence: str | None = None
-    world_T_vehicle: Array | None = None
-    bag: BagImage | None = None
+    image_id: int | str | None = None  # COCO's number or name of the image, or None
+    timestamp: float | None = None  # when it was taken, seconds; or None
+    world_T_camera: Array | None = None  # (4, 4) pose of the camera in the world's frame, or None
+    sequence: str | None = None  # the drive that the image is of, such as Argoverse's log, or None
+    world_T_vehicle: Array | None = None  # (4, 4) pose of the vehicle at the time of the sample, or None
+    bag: BagImage | None = None  # its message, where it is of a bag
 
     __repr__ = brief_repr
 

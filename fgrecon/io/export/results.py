@@ -78,35 +78,21 @@ DEMO_FORMAT = "fgrecon.demo/1"
 
 @dataclass(frozen=True)
 class NamedResult:
-    """One vehicle in one image.
+    """One vehicle in one image."""
 
-    Attributes:
-        name: Its id.
-        box: (4,) 2D box that it was observed in, pixels, or None.
-        label_offset: (3,) where KITTI's label frame lies from the camera's (a labelled point is at X + offset), or
-            None.
-        image: Name of the image; empty where the file has only one, or does not tell it.
-        camera: The camera that took it, or None.
-        ground: The ground plane in its frame that the settings tell, or None.
-        row: Row of a batch that it is from; stands for the image where that is not known.
-        kind: What it is by its detector, such as `Van`, or None.
-        score: How sure its detector is, or None.
-        velocity: (3,) along the world's axes, m/s, or None.
-        track: Id that a tracker gave it, or None.
-    """
-
-    name: str
+    name: str  # its id
     result: Reconstruction
-    box: NDArray[np.float64] | None = None
+    box: NDArray[np.float64] | None = None  # (4,) 2D box that it was observed in, pixels, or None
+    # (3,) where KITTI's label frame lies from the camera's (a labelled point is at X + offset), or None
     label_offset: NDArray[np.float64] | None = None
-    image: str = ""
-    camera: Camera | None = None
-    ground: Ground | None = None
-    row: str = ""
-    kind: str | None = None
-    score: float | None = None
-    velocity: NDArray[np.float64] | None = None
-    track: int | None = None
+    image: str = ""  # name of the image; empty where the file has only one, or does not tell it
+    camera: Camera | None = None  # the camera that took it, or None
+    ground: Ground | None = None  # the ground plane in its frame that the settings tell, or None
+    row: str = ""  # row of a batch that it is from; stands for the image where that is not known
+    kind: str | None = None  # what it is by its detector, such as `Van`, or None
+    score: float | None = None  # how sure its detector is, or None
+    velocity: NDArray[np.float64] | None = None  # (3,) along the world's axes, m/s, or None
+    track: int | None = None  # id that a tracker gave it, or None
 
     __repr__ = brief_repr
 
