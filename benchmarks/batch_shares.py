@@ -18,7 +18,7 @@ import fgrecon.solve.pipeline
 from fgrecon.batch import Reconstructor, sources_of
 from fgrecon.batch.parts import Parts
 from fgrecon.batch.rows import storable
-from fgrecon.batch.tasks import TaskSolver
+from fgrecon.batch.schema import TaskSolver
 
 Shares = Mapping[str, float]
 """Milliseconds of processor time a unit, by stage."""

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fgrecon.calibration.regions import normalised_squared_error
+from fgrecon.calibration.labelled_boxes import normalised_squared_error
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import ANY_FOCAL_SIGMA, Camera, Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError

@@ -18,8 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, BoxOutcome, outcome
-from fgrecon.calibration.regions import DIMENSIONS
+from fgrecon.calibration.labelled_boxes import DIMENSIONS, FLIPPED_DEGREES, BoxOutcome, outcome
 from fgrecon.core.arrays import Array
 from fgrecon.core.coverage import reliability
 from fgrecon.core.geometry import view_azimuth

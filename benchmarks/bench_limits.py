@@ -18,8 +18,7 @@ import cv2
 import numpy as np
 
 from benchmarks.weather import CHANGES, View
-from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, outcome, wanted
-from fgrecon.calibration.matching import match_detections
+from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, match_detections, outcome, wanted
 from fgrecon.calibration.setup import Setup, reconstruct_boxes
 from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import FAILURE_DEGREES

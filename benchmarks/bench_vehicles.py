@@ -19,7 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fgrecon.calibration.matching import box_overlap, match_detections
+from fgrecon.calibration.labelled_boxes import box_overlap, match_detections
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import DriveFrame, read_images
 from fgrecon.io.kitti_files import Objects

@@ -149,7 +149,7 @@ def _matlab() -> Mapping[str, bytes]:
 
 
 def _read_matlab(path: Path) -> None:
-    from fgrecon.io.keypoints.pascal3d import read_anchors
+    from fgrecon.io.keypoints.records import read_anchors
 
     read_anchors(path, _CHILD)
 

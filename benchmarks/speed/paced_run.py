@@ -90,7 +90,7 @@ def clock(owner: type, name: str, stage: str, counted_in: defaultdict[str, float
 def motion_stage() -> type:
     """What estimates the camera's motion; its name in the first of the builds was another one."""
     try:
-        return import_module("fgrecon.video.motion_estimator").MotionEstimator
+        return import_module("fgrecon.video.camera_path").MotionEstimator
     except ModuleNotFoundError:
         return import_module("fgrecon.video.motion_look").MotionLook
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from fgrecon.app.limits import Limits
 from fgrecon.app.requested import Requested
-from fgrecon.batch.results_file import installed_version
+from fgrecon.batch.file_service import installed_version
 
 SCHEMAS = ("keypoints.schema.json", "results.schema.json")
 """Those that requests and answers have."""

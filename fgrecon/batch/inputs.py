@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.batch.parts import RUN
-from fgrecon.batch.tasks import instance_text
+from fgrecon.batch.schema import instance_text
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError

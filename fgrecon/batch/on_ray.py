@@ -12,7 +12,7 @@ from typing import Any
 
 from fgrecon.batch.pool import Worker, drive
 from fgrecon.batch.rows import lost_rows, single_tasks
-from fgrecon.batch.tasks import Tasks, TaskSolver
+from fgrecon.batch.schema import Tasks, TaskSolver
 from fgrecon.core.errors import MissingPackageError
 
 _REPORT_SECONDS = 60.0

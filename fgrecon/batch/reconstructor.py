@@ -15,8 +15,7 @@ import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.batch.rows import failed_row, given_of, id_in_image, origin_of, solved_row, table_of
-from fgrecon.batch.schema import EMPTY, LEFT_OUT
-from fgrecon.batch.tasks import nested, record_of
+from fgrecon.batch.schema import EMPTY, LEFT_OUT, nested, record_of
 from fgrecon.batch.vehicle_tasks import KeypointRequest, check_of_file, tasks_in_boxes
 from fgrecon.core.camera import Camera, Ground, lens_of
 from fgrecon.core.checks import as_finite

@@ -1,4 +1,4 @@
-"""Labelled boxes of video drives, and the errors of what was found in them.
+"""Labelled boxes of video drives, what was found in each, and its errors: also in units of the regions that it claims.
 
 Cars and vans count that are at least 25 px high, largely occluded at most, and at most half outside the image (none
 that is cut off where labels have grades in the place of shares, as KITTI's tracking set), in the frames where nothing
@@ -16,17 +16,112 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.matching import match_detections
-from fgrecon.calibration.regions import DIMENSIONS, claimed
 from fgrecon.calibration.selection import Selection
 from fgrecon.core.arrays import Array
 from fgrecon.core.coverage import Coverage, Region, coverage
-from fgrecon.core.geometry import view_azimuth, yaw_rotation
+from fgrecon.core.geometry import position_covariance, view_azimuth, yaw_rotation
 from fgrecon.core.metrics import orientation_error, translation_error, wrap_angle
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.io.kitti_drives import DriveFrame
 from fgrecon.io.kitti_files import Objects
 from fgrecon.io.track_file import GroundTruth
+
+DIMENSIONS = {"position": 3, "yaw": 1, "size": 3, "velocity": 2}
+"""What normalised squared errors are of, and its dimension; velocity is over the ground."""
+
+
+@dataclass(frozen=True)
+class Claimed:
+    """Errors by the covariances that a result has for them."""
+
+    # normalised squared error by quantity; without those whose covariance is not determined
+    squared: Mapping[str, float]
+    spread: Mapping[str, float]  # geometric mean of the semi-axes of each one's one-sigma region, degrees or metres
+
+
+def claimed(result: Reconstruction, position: Array, yaw: float, size: Array) -> Claimed:
+    """The errors of position, yaw and size by the result's own covariances.
+
+    Args:
+        position: (3,) error of the location in the camera's frame, metres.
+        yaw: Error about the vertical axis, radians.
+        size: (3,) error of length, width and height, metres.
+    """
+    errors = {"position": position, "yaw": np.array([yaw]), "size": size}
+    regions: dict[str, Array] = {}
+    if result.uncertainty.pose_covariance is not None:
+        regions["position"] = position_covariance(result.camera_T_object, result.uncertainty.pose_covariance)
+        regions["yaw"] = result.uncertainty.pose_covariance[1:2, 1:2]  # about the vehicle's own vertical axis
+    if result.uncertainty.size_covariance is not None:
+        regions["size"] = result.uncertainty.size_covariance
+    squared = {
+        name: value
+        for name, covariance in regions.items()
+        if (value := normalised_squared_error(errors[name], covariance)) is not None
+    }
+    return Claimed(squared, {name: _radius(name, regions[name]) for name in squared})
+
+
+def _radius(name: str, covariance: Array) -> float:
+    radius = float(np.linalg.det(covariance)) ** (0.5 / len(covariance))
+    return float(np.degrees(radius)) if name == "yaw" else radius
+
+
+def normalised_squared_error(error: Array, covariance: Array) -> float | None:
+    """Error (D,) by its covariance (D, D); None where that is not positive definite."""
+    try:
+        root = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        return None
+    white = np.linalg.solve(root, error)
+    return float(white @ white)
+
+
+MINIMUM_OVERLAP = {"Car": 0.7, "Pedestrian": 0.5, "Cyclist": 0.5}
+"""Overlap that a match must exceed, by class."""
+
+
+def box_overlap(first: Array, second: Array, *, of_first: bool = False) -> Array:
+    """Overlap (M, N) of 2D boxes (M, 4) and (N, 4), x1, y1, x2, y2: intersection over union, or over the first."""
+    low = np.maximum(first[:, None, :2], second[:, :2])
+    high = np.minimum(first[:, None, 2:], second[:, 2:])
+    side = np.maximum(high - low, 0.0)
+    areas = [np.prod(box[:, 2:] - box[:, :2], axis=1) for box in (first, second)]
+    return shared_ratio(side[..., 0] * side[..., 1], areas[0], areas[1], of_first=of_first)
+
+
+def shared_ratio(inner: Array, first: Array, second: Array, *, of_first: bool) -> Array:
+    """Intersections (M, N) over the union of what has these extents (M,) and (N,), or over the first of them."""
+    whole = np.broadcast_to(first[:, None], inner.shape) if of_first else first[:, None] + second - inner
+    return np.divide(inner, whole, out=np.zeros_like(inner), where=(inner > 0) & (whole > 0))
+
+
+def match_detections(
+    labels: Objects, detections: Objects, least: float = MINIMUM_OVERLAP["Car"], *, kind: str = "Car"
+) -> NDArray[np.int64]:
+    """For each label the detected car that overlaps it most, by more than KITTI's 0.7 or another; -1 where none does.
+
+    A detection is given to one label at most: pairs are made in the order of their overlap.
+
+    Args:
+        labels: M labels.
+        detections: What was found.
+        least: Overlap that a detection must exceed.
+        kind: Of the detections that are taken.
+    """
+    matched = np.full(len(labels), -1)
+    if not len(labels) or not len(detections):
+        return matched
+    shared = box_overlap(labels.box, detections.box)
+    shared[:, [other != kind for other in detections.kind]] = 0.0
+    for flat in np.argsort(-shared, axis=None, kind="stable"):
+        i, j = np.unravel_index(flat, shared.shape)
+        if shared[i, j] <= least:
+            break
+        if matched[i] < 0 and not (matched == j).any():
+            matched[i] = j
+    return matched
+
 
 FLIPPED_DEGREES = 90.0
 """Degrees of yaw error above which a vehicle's heading is flipped."""
@@ -58,7 +153,7 @@ class BoxOutcome:
     # estimated minus labelled yaw in degrees, and origin (3) in metres; None where it was not wanted
     off: tuple[float, float, float, float] | None = None
     # normalised squared errors of `position`, `yaw`, `size` and `velocity`, as far as there are covariances
-    # (`fgrecon.calibration.regions`); none of a vehicle whose heading is flipped
+    # (`fgrecon.calibration.labelled_boxes`); none of a vehicle whose heading is flipped
     squared: Mapping[str, float] = field(default_factory=dict)
     # geometric mean of the one-sigma regions' semi-axes that those are by, degrees or metres
     spread: Mapping[str, float] = field(default_factory=dict)

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.matching import MINIMUM_OVERLAP
+from fgrecon.calibration.labelled_boxes import MINIMUM_OVERLAP
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.choices import ClassSource

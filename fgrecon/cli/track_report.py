@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from fgrecon.batch.results_file import SCHEMA_VERSION, entry_of
+from fgrecon.batch.file_service import SCHEMA_VERSION, entry_of
 from fgrecon.batch.solve_tasks import Outcome, fit_warnings, solve_task
 from fgrecon.batch.vehicle_tasks import VehicleTask, input_warnings, read_tasks
 from fgrecon.cli.reconstruct_report import details as result_details

@@ -1,9 +1,21 @@
-"""2D boxes of the cars in an image from files that detectors and data sets write."""
+"""2D boxes of the cars in an image from files that detectors and data sets write.
+
+CSV files have a heading, as those of ultralytics, supervision, TensorFlow, VIA-like tools and one's own:
+
+| what | names of its column, in capitals or not |
+|---|---|
+| image | `image`, `filename`, `file_name`, `file`, `path`, `image_name`, `image_path`, `image_id` |
+| class | `class_name`, `name`, `category`, `label`, `class`, `kind`, `type`, `class_id`; a number is YOLO's |
+| box | `x1,y1,x2,y2`, `xmin,ymin,xmax,ymax`, `left,top,right,bottom`; or `x,y,w,h`, `left,top,width,height` |
+| score, track | `score`, `confidence`, `conf`; `track`, `track_id`, `tracker_id` |
+| size of the image | `image_width,image_height`; `width,height` where the box has two corners |
+"""
 
 from __future__ import annotations
 
+import csv
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import takewhile
@@ -18,7 +30,6 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
 from fgrecon.core.text import counted, one_word
 from fgrecon.core.vehicle_class import VehicleClass
-from fgrecon.io.box_csv import CsvBox, read_csv_boxes
 from fgrecon.io.catalogue import class_of_kind
 from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import Fields, plain_id, read_json
@@ -43,6 +54,26 @@ _LISTED = 5  # classes and images that an error names
 _FIX = (
     "Give KITTI labels (object, tracking), detections `image class score x1 y1 x2 y2`, YOLO's `class x y w h`, CSV, "
     "COCO JSON, or nuScenes' tables. MOT's lines are of a video: `fgrecon run --tracks`."
+)
+
+_IMAGE = ("image", "filename", "file_name", "file", "path", "image_name", "image_path", "image_id")
+_KIND = ("class_name", "name", "category_name", "category", "label", "class", "kind", "type", "class_id", "category_id")
+_SCORE, _TRACK = ("score", "confidence", "conf"), ("track", "track_id", "tracker_id")
+_CORNERS = (
+    ("x1", "y1", "x2", "y2"),
+    ("xmin", "ymin", "xmax", "ymax"),
+    ("x_min", "y_min", "x_max", "y_max"),
+    ("left", "top", "right", "bottom"),
+)
+_SIDES = tuple(
+    (*corner, *sides)
+    for corner in (("x", "y"), ("left", "top"), ("bbox_x", "bbox_y"), ("bbox_left", "bbox_top"))
+    for sides in (("w", "h"), ("width", "height"), ("bbox_w", "bbox_h"), ("bbox_width", "bbox_height"))
+)
+_SIZES = ("image_width", "image_height")
+_CSV_FIX = (
+    "Give a heading: image, class, score and x1,y1,x2,y2 (or x,y,w,h of the upper left corner), in pixels; of several "
+    "images the image's name is needed."
 )
 
 
@@ -127,7 +158,7 @@ def boxes_in(
 
     Args:
         file: KITTI label or result file (object or tracking, type `Car`), detections with lines
-            `image class score x1 y1 x2 y2 [box model]`, CSV (`fgrecon.io.box_csv`), YOLO's lines
+            `image class score x1 y1 x2 y2 [box model]`, CSV with a heading, YOLO's lines
             `class x y w h [score] [track]` in parts of the image (cars are class 2, or `car` in a `classes.txt` beside
             the file or a `data.yaml` above it), COCO JSON, the folder of nuScenes' tables; or a folder with such a file
             for each image, of its name.
@@ -192,7 +223,7 @@ def _changed(file: Path) -> int:
 def _lines(file: Path, changed: int) -> tuple[tuple[int, _Box | _Relative], ...]:  # noqa: ARG001
     """The boxes of a file of lines or of a CSV, with their numbers; a changed file is read again."""
     if file.suffix.lower() == ".csv":
-        return tuple((number, _Box.of_csv(file, box)) for number, box in enumerate(read_csv_boxes(file)))
+        return tuple(enumerate(_of_csv(file)))
     rows: list[tuple[int, _Box | _Relative]] = []
     for number, line in enumerate(read_text(file, "boxes", _FIX).splitlines()):
         if not line.strip():
@@ -258,13 +289,6 @@ class _Box:
     track: int | None = None  # or None
     size: tuple[int, int] | None = None  # of the image as the file states it, or None
 
-    @classmethod
-    def of_csv(cls, file: Path, row: CsvBox) -> _Box:
-        """The box of a row."""
-        kind = _yolo_class(file, int(row.kind)) if row.kind.isdecimal() else one_word(row.kind)
-        surface = BoxModel.SURFACE
-        return cls(row.corners, surface, kind, True, row.score, row.image, True, row.track, row.size)  # noqa: FBT003
-
     def in_image(self, file: Path, number: int, size: tuple[int, int] | None, *, scale: bool = False) -> _Box:
         """The box in pixels of an image of a size."""
         ratio = np.tile(scale_between(self.size, size, f"{file}: box {number}", scale=scale), 2)
@@ -327,6 +351,50 @@ def _of_line(words: list[str], line: str) -> _Box:
     kind = DETECTION_CLASSES.get(found.label, f"{found.label}")
     model = found.model or BoxModel.CUBOID
     return _Box(np.array(found.box), model, kind, named=False, score=found.score, image=found.image)
+
+
+def _of_csv(file: Path) -> Iterator[_Box]:
+    """The boxes of a CSV file; an error names the line."""
+    rows = csv.reader(read_text(file, "boxes", _CSV_FIX).splitlines())
+    heading = [name.strip().lower().replace(" ", "_").replace("-", "_") for name in next(rows, [])]
+    names = next((names for names in (*_CORNERS, *_SIDES) if set(names) <= set(heading)), None)
+    if names is None:
+        raise InvalidInputError(f"{file}:1", ",".join(heading)[:80], _CSV_FIX)
+    for row in rows:
+        if any(cell.strip() for cell in row):
+            try:
+                box = _of_cells(dict(zip(heading, row, strict=False)), names)
+            except (ValueError, KeyError) as error:
+                raise InvalidInputError(f"{file}:{rows.line_num}", ",".join(row)[:80], _CSV_FIX) from error
+            kind = _yolo_class(file, int(box.kind)) if box.kind.isdecimal() else one_word(box.kind)
+            yield replace(box, kind=kind)
+
+
+def _of_cells(cells: Mapping[str, str], names: Sequence[str]) -> _Box:
+    """The box of a row of a CSV file, with its class as it is written; names are those of the box's columns."""
+    numbers = np.array([float(cells[name]) for name in names])
+    corners = numbers if names in _CORNERS else np.concatenate([numbers[:2], numbers[:2] + numbers[2:]])
+    if not np.isfinite(numbers).all() or (corners[2:] <= corners[:2]).any():
+        raise ValueError(numbers)
+    sizes = ("width", "height") if names in _CORNERS and {"width", "height"} <= cells.keys() else _SIZES
+    size = tuple(round(float(cells[name])) for name in sizes if cells.get(name, "").strip())
+    score, track = _named(cells, _SCORE), _named(cells, _TRACK)
+    number = None if track in (None, "None", "nan") else int(float(track or 0))
+    return _Box(
+        corners,
+        BoxModel.SURFACE,
+        _named(cells, _KIND) or _CAR,
+        named=True,
+        score=None if score is None else float(score),
+        image=_named(cells, _IMAGE),
+        track=None if number is None or number < 0 else number,
+        size=(size[0], size[1]) if len(size) == 2 else None,
+    )
+
+
+def _named(cells: Mapping[str, str], names: Sequence[str]) -> str | None:
+    """What is in the first of some columns that a row has, or None."""
+    return next((text for name in names if (text := cells.get(name, "").strip())), None)
 
 
 def _is_integer(word: str) -> bool:

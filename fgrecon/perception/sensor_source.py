@@ -16,14 +16,12 @@ from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Evidence, Points, StereoPair
 from fgrecon.core.geometry import rigid
-from fgrecon.io.cameras.camera_file import read_camera
-from fgrecon.io.cameras.camera_source import CameraSource
+from fgrecon.io.cameras.camera_source import CameraSource, read_camera
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, calibration_beside, read_calibration
 from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes, sweep_of
 from fgrecon.io.poses import read_pose
-from fgrecon.io.sensors.depth_files import DEPTHS, read_depth
-from fgrecon.io.sensors.mask_files import MASKS, read_masks
+from fgrecon.io.sensors.pixel_files import DEPTHS, MASKS, read_depth, read_masks
 from fgrecon.io.sensors.points import CLOUDS, NoPointError, Place, lidar_place, read_points
 from fgrecon.io.sensors.sensor_files import DataSetSweeps, SensorFiles
 from fgrecon.perception.stereo import stereo_depth

@@ -19,14 +19,13 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.io.source_frames import SourceFrame
     from fgrecon.io.video_frames import write_video
     from fgrecon.video.association import Association, AssociationSettings, Candidate, GatedAssociation
-    from fgrecon.video.camera_path import CameraPath
+    from fgrecon.video.camera_path import CameraPath, MotionEstimator
     from fgrecon.video.egomotion import CameraMotion, camera_motion
     from fgrecon.video.focal import EstimatedCamera, estimate_camera
     from fgrecon.video.follow import Follower, TrackedFrame, VehicleTracker
     from fgrecon.video.frame_detector import FrameDetector
     from fgrecon.video.given import Given, read_given
     from fgrecon.video.image_tracker import ImageTracker
-    from fgrecon.video.motion_estimator import MotionEstimator
     from fgrecon.video.newest import Newest
     from fgrecon.video.records import FrameRecord, Sighting
     from fgrecon.video.rows import frame_lines, rows_of, tracking_text

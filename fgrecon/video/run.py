@@ -31,12 +31,12 @@ from fgrecon.core.text import counted, whole_text
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.frames import FrameSource, ImageFrames
 from fgrecon.io.source_frames import SourceFrame
+from fgrecon.video.camera_path import MotionEstimator
 from fgrecon.video.coverage import check_coverage, coverage_warnings, planned_frames
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector
 from fgrecon.video.frame_store import FrameStore
-from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.newest import LiveFrames, is_left_out
 from fgrecon.video.records import (
     FORMAT,

@@ -52,13 +52,12 @@ from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.box_check import boxes_warning
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import GatedAssociation
-from fgrecon.video.camera_path import CameraPath
+from fgrecon.video.camera_path import CameraPath, MotionEstimator
 from fgrecon.video.coverage import check_coverage, planned_frames
 from fgrecon.video.focal import estimate_camera
 from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector
 from fgrecon.video.given import Given, in_words, read_given
-from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.newest import LiveFrames, as_max_delay
 from fgrecon.video.records import FrameRecord
 from fgrecon.video.rows import flattened, frame_lines, rows_of, tracking_text

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from fgrecon.calibration.matching import box_overlap
+from fgrecon.calibration.labelled_boxes import box_overlap
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.catalogue import load_prior

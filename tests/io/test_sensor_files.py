@@ -8,7 +8,7 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_calibration import read_calibration
-from fgrecon.io.sensors.depth_files import read_depth
+from fgrecon.io.sensors.pixel_files import read_depth
 from fgrecon.io.sensors.points import read_points
 
 POINTS = np.array([[1.0, 2.0, 10.0], [-3.0, 0.5, 20.25], [4.0, -1.0, 5.5]])

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from fgrecon.perception.keypoints.crops import cut_patches, fuse, patch_offsets, run_networks, window_of
 from fgrecon.perception.keypoints.decode import decode
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.layout import PATCH, KNetSettings, RefineLayout, RefineSettings
 from fgrecon.perception.keypoints.network_file import load_weights, save_weights
-from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
 from tests.perception.untrained import untrained, untrained_arrays
 
 SMALL = RefineSettings(crop=64, width=2)

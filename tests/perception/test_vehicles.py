@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fgrecon.calibration.matching import box_overlap, match_detections
+from fgrecon.calibration.labelled_boxes import box_overlap, match_detections
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior, shipped_class_sizes
 from fgrecon.io.images import read_image

@@ -7,7 +7,7 @@ import pytest
 
 import fgrecon
 from fgrecon import VehicleClass
-from fgrecon.calibration.regions import normalised_squared_error
+from fgrecon.calibration.labelled_boxes import normalised_squared_error
 from fgrecon.core.geometry import position_covariance
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 import fgrecon
-from fgrecon.calibration.regions import normalised_squared_error
+from fgrecon.calibration.labelled_boxes import normalised_squared_error
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import position_covariance

@@ -17,7 +17,17 @@ from fgrecon.core.detection import Detection
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.core.observation import Observation
 from fgrecon.io.catalogue import load_category
-from fgrecon.perception.keypoints.crops import MARGIN, Crop, crop_of, extract
+from fgrecon.perception.keypoints.crops import (
+    MARGIN,
+    Crop,
+    crop_of,
+    cut_patches,
+    extract,
+    fuse,
+    patch_offsets,
+    run_networks,
+    window_of,
+)
 from fgrecon.perception.keypoints.decode import (
     ConfidenceCalibration,
     Decoded,
@@ -36,7 +46,6 @@ from fgrecon.perception.keypoints.layout import (
     RefineSettings,
 )
 from fgrecon.perception.keypoints.network_file import WITHOUT_STREET, check_arrays, load_weights, shipped
-from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
 from fgrecon.perception.keypoints.sessions import Network, runs_on, threads_of_networks
 
 S = TypeVar("S", KNetSettings, RefineSettings)

@@ -9,8 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, BoxOutcome, VideoBox, claimed_regions, outcome
-from fgrecon.calibration.regions import normalised_squared_error
+from fgrecon.calibration.labelled_boxes import (
+    FLIPPED_DEGREES,
+    BoxOutcome,
+    VideoBox,
+    claimed_regions,
+    normalised_squared_error,
+    outcome,
+)
 from fgrecon.core.camera import Ground
 from fgrecon.core.coverage import LEVELS, Coverage, Region, Reliability, coverage, reliability
 from fgrecon.core.errors import FgreconError

@@ -18,7 +18,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from fgrecon.calibration.matching import MINIMUM_OVERLAP, box_overlap, shared_ratio
+from fgrecon.calibration.labelled_boxes import MINIMUM_OVERLAP, box_overlap, shared_ratio
 from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_files import Objects

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.labelled_boxes import BoxOutcome
+from fgrecon.calibration.labelled_boxes import BoxOutcome, match_detections
 from fgrecon.calibration.labelled_frames import failed, found_outcome
-from fgrecon.calibration.matching import match_detections
 from fgrecon.calibration.setup import Setup, reconstruct_boxes
 from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError

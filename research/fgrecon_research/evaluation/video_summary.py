@@ -12,9 +12,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, SYSTEM, BoxOutcome, VideoBox, View
-from fgrecon.calibration.matching import MINIMUM_OVERLAP
-from fgrecon.calibration.regions import DIMENSIONS
+from fgrecon.calibration.labelled_boxes import (
+    DIMENSIONS,
+    FLIPPED_DEGREES,
+    MINIMUM_OVERLAP,
+    SYSTEM,
+    BoxOutcome,
+    VideoBox,
+    View,
+)
 from fgrecon.core.arrays import Array
 from fgrecon.core.coverage import Reliability, reliability
 from fgrecon.core.metrics import wrap_angle

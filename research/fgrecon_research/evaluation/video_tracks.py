@@ -19,9 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, BoxOutcome, VideoBox, outcome
+from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, BoxOutcome, VideoBox, normalised_squared_error, outcome
 from fgrecon.calibration.labelled_frames import ScoredFrame, failed
-from fgrecon.calibration.regions import normalised_squared_error
 from fgrecon.calibration.setup import Setup
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
@@ -41,9 +40,8 @@ from fgrecon.perception.stereo import stereo_depth
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import GatedAssociation
-from fgrecon.video.camera_path import CameraPath
+from fgrecon.video.camera_path import CameraPath, MotionEstimator
 from fgrecon.video.follow import Follower
-from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import FrameRecord, Sighting
 from fgrecon_research.io.drive_sensors import Sensor, file_of, right_image, scan_of
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.matching import match_detections
+from fgrecon.calibration.labelled_boxes import match_detections
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fgrecon.calibration.regions import normalised_squared_error
+from fgrecon.calibration.labelled_boxes import normalised_squared_error
 from fgrecon_research.evaluation.video_summary import consistency
 
 COVARIANCE = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.3], [0.0, 0.3, 0.1]])

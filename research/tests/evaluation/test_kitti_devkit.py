@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fgrecon.calibration.matching import MINIMUM_OVERLAP, box_overlap
+from fgrecon.calibration.labelled_boxes import MINIMUM_OVERLAP, box_overlap
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_files import Objects
 from fgrecon_research.evaluation.kitti_devkit import (

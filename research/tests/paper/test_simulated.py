@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fgrecon.calibration.matching import match_detections
+from fgrecon.calibration.labelled_boxes import match_detections
 from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.options import BoxModel, Options

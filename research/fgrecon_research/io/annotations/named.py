@@ -12,7 +12,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.isolated import Isolated
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoints.coco_records import NOTHING_LABELLED, annotation_records
-from fgrecon.io.keypoints.pascal3d import read_anchors
+from fgrecon.io.keypoints.records import read_anchors
 from fgrecon_research.io.annotations.annotations import Annotations
 
 _Named = Iterable[tuple[str, Mapping[str, Sequence[float]]]]

@@ -14,9 +14,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from fgrecon.core.arrays import Array
-from fgrecon.perception.keypoints.crops import MARGIN
+from fgrecon.perception.keypoints.crops import MARGIN, cut_patches
 from fgrecon.perception.keypoints.layout import MEAN, PATCH, SPREAD, Layer, RefineLayout, RefineSettings
-from fgrecon.perception.keypoints.patches import cut_patches
 from fgrecon_research.training.keypoints.augment import Sample, Street
 from fgrecon_research.training.keypoints.deform import Partner
 from fgrecon_research.training.keypoints.losses import HIDDEN_WEIGHT, map_loss

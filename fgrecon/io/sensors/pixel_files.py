@@ -1,6 +1,6 @@
-"""Depth maps from files: metres along the camera's z axis for each pixel.
+"""Numbers for each pixel from files: depth maps, metres along the camera's z axis, and masks of an image's vehicles.
 
-| ending | content |
+| depth maps' ending | content |
 |---|---|
 | `.png` of 16 bits | KITTI's: 256 a metre, 0 where nothing was measured; others with how many are a metre |
 | `.npy`, `.npz` (`depth`) | metres |
@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,9 @@ from numpy.typing import NDArray
 from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_path
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
+from fgrecon.core.mask import Mask
 from fgrecon.io.arrays import read_arrays, read_limited, read_lone_array
+from fgrecon.io.boxes import coco_entries
 from fgrecon.io.sensors.points import SENSORS
 
 KITTI_PER_METRE = 256.0
@@ -77,19 +80,21 @@ def _numbers(path: Path, ending: str) -> NDArray[Any]:
         return arrays["depth"]
     if ending == ".npy":
         return read_lone_array(content, str(path), _FIX)
-    return _exr(path) if ending == ".exr" else _image(content, path)
+    image = _exr(path) if ending == ".exr" else _image(content)
+    if image is None:
+        raise InvalidInputError("depth", str(path), "Give an image of numbers that OpenCV reads: PNG, TIFF or PFM.")
+    return image
 
 
-def _image(content: bytes, path: Path) -> NDArray[Any]:
+def _image(content: bytes) -> NDArray[Any] | None:
+    """The numbers of an image file as they are; None where OpenCV reads none."""
     import cv2  # on use: importing fgrecon must not import OpenCV
 
     try:
         image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if content else None
     except cv2.error:
-        image = None
-    if image is None:
-        raise InvalidInputError("depth", str(path), "Give an image of numbers that OpenCV reads: PNG, TIFF or PFM.")
-    return np.asarray(image)
+        return None
+    return None if image is None else np.asarray(image)
 
 
 def _exr(path: Path) -> NDArray[Any]:
@@ -107,3 +112,50 @@ def _exr(path: Path) -> NDArray[Any]:
         fix = f"Give a file with one of the channels {', '.join(_CHANNELS)}."
         raise InvalidInputError("depth", f"{path}: channels {', '.join(channels)}", fix)
     return named
+
+
+MASKS = (".png", ".json")
+"""Endings of files of masks."""
+
+_IGNORED = 10_000  # the id of regions that nobody labelled, in KITTI's and MOTS's images of ids
+_MASK_FIX = "Give a PNG of ids (8 or 16 bits, 0 where no vehicle is), or COCO JSON with a `segmentation` for each."
+
+
+def read_masks(file: Path, image: Path, size: tuple[int, int] | None = None) -> list[Mask]:
+    """The masks of an image, none where the file has none of it.
+
+    Args:
+        file: A PNG whose pixels have the id of what they show, 0 for nothing (KITTI's and MOTS's 10000 as well), or
+            COCO JSON: annotations or results, with polygons or run lengths.
+        image: The image's file, or its name, by which COCO's are chosen.
+        size: Width and height of the image, which COCO's results without a list of images do not state.
+
+    Raises:
+        InvalidInputError: The file cannot be used; names the field.
+    """
+    if file.suffix.lower() == ".json":
+        return _of_coco(file, image, size)
+    ids = _image(read_limited(file, "masks"))
+    if ids is None or ids.ndim != 2:
+        value = f"{file}: no image" if ids is None else f"{file}: {ids.shape[2]} channels"
+        raise InvalidInputError("masks", value, _MASK_FIX)
+    return [Mask(ids == one) for one in np.unique(ids).tolist() if one not in (0, _IGNORED)]
+
+
+def _of_coco(file: Path, image: Path, size: tuple[int, int] | None) -> list[Mask]:
+    found = []
+    for fields, stated in coco_entries(file, image):
+        given = fields.data.get("segmentation")
+        if not given:
+            continue
+        whole = stated or size
+        try:
+            if isinstance(given, Mapping):
+                found.append(Mask.of_rle(given))
+            elif whole is not None:
+                found.append(Mask.of_polygons(given, whole))
+            else:
+                raise InvalidInputError("masks", f"{file}: polygons without an image's size", "Give `images` as well.")
+        except InvalidInputError as error:
+            raise InvalidInputError(f"{fields.where}segmentation", error.value, error.fix) from error
+    return found
