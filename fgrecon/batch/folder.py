@@ -55,9 +55,6 @@ def write_table(folder: Path, path: Path) -> Path:
     Args:
         folder: What `fgrecon batch` wrote.
         path: `.parquet`, or `.csv`: numbers and texts alone, with the corners of the 2D box.
-
-    Raises:
-        InvalidInputError: A part is damaged, the file cannot be written, or there is no row.
     """
     rows = sorted(Parts(folder).rows(), key=_place)
     if path.suffix.lower() == ".parquet":

@@ -96,11 +96,7 @@ class Parts:
             return False
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """The rows of all parts, as plain values.
-
-        Raises:
-            InvalidInputError: A part is damaged; names it.
-        """
+        """The rows of all parts, as plain values."""
         for path in self._paths():
             for batch in _batches(path):
                 yield from batch.to_pylist()

@@ -305,9 +305,6 @@ class Pictures:
         Args:
             image: File of an image, or of a video where a frame is given; or the bytes of an image file.
             frame: Number of the frame from 0.
-
-        Raises:
-            InvalidInputError: It cannot be read.
         """
         if isinstance(image, bytes):
             return decode_photograph(image, "image")

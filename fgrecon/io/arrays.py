@@ -93,11 +93,7 @@ def read_arrays(
 
 
 def write_arrays(path: Path, *, compressed: bool = False, **arrays: NDArray[Any]) -> Path:
-    """Write arrays as an npz file, whole or not at all; the path.
-
-    Raises:
-        InvalidInputError: As `write_bytes`.
-    """
+    """Write arrays as an npz file, whole or not at all; the path."""
     content, save = BytesIO(), np.savez_compressed if compressed else np.savez
     save(content, allow_pickle=False, **arrays)
     return write_bytes(path, content.getvalue())

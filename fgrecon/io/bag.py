@@ -70,9 +70,6 @@ class Bag:
         Args:
             topics: Which are read.
             at: The time of those that are read; None for all.
-
-        Raises:
-            InvalidInputError: The bag is damaged.
         """
         if not topics:
             return
@@ -97,22 +94,14 @@ class Bag:
             raise InvalidInputError(f"{self.path}: {topic}", "a message that is none", fix) from error
 
     def definition(self, kind: str) -> str:
-        """The definition of a type of messages, with those that it is made of.
-
-        Raises:
-            InvalidInputError: It is not known.
-        """
+        """The definition of a type of messages, with those that it is made of."""
         try:
             return str(self.types.generate_msgdef(kind, ros_version=2)[0])
         except Exception as error:  # as above
             raise InvalidInputError(f"{self.path}: {kind}", "no definition", "Give a bag that defines it.") from error
 
     def stamp(self, topic: str, content: bytes) -> int:
-        """Nanoseconds of a message's header, which is what it begins with; 0 where nobody set it.
-
-        Raises:
-            InvalidInputError: It is too short.
-        """
+        """Nanoseconds of a message's header, which is what it begins with; 0 where nobody set it."""
         big = not self.is_ros1 and content[1:2] == b"\x00"  # the second byte of CDR tells the order of bytes
         try:
             seconds, rest = struct.unpack_from(">iI" if big else "<iI", content, 4)
@@ -149,11 +138,7 @@ def open_bag(path: Path) -> Bag:
 
 
 def raw_messages(bag: Bag) -> Iterator[tuple[Any, int, bytes]]:
-    """All messages of a bag, in order of their recording: connection, time (nanoseconds) and content.
-
-    Raises:
-        InvalidInputError: The bag is damaged.
-    """
+    """All messages of a bag, in order of their recording: connection, time (nanoseconds) and content."""
     with _reader(bag.path) as reader:
         for one, time, content in reader.messages():
             yield one, time, bytes(content)

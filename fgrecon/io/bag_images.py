@@ -65,9 +65,6 @@ def still(message: Any, where: str) -> Pixels:
     Args:
         message: Of `Image` or `CompressedImage`.
         where: What errors begin with.
-
-    Raises:
-        InvalidInputError: It is no picture; names the topic.
     """
     if hasattr(message, "encoding"):
         return _raw(message, where)

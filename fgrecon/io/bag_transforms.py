@@ -37,11 +37,7 @@ def frame_name(text: str) -> str:
 
 
 def pose_of_message(place: Any, turn: Any, where: str) -> Array:
-    """(4, 4) of a translation and a quaternion.
-
-    Raises:
-        InvalidInputError: They are no pose.
-    """
+    """(4, 4) of a translation and a quaternion."""
     try:
         quaternion = np.array([turn.w, turn.x, turn.y, turn.z], dtype=np.float64)
         numbers = np.array([place.x, place.y, place.z], dtype=np.float64)
@@ -70,9 +66,6 @@ class Transforms:
             transforms: Of `TFMessage`.
             where: What errors begin with.
             still: Whether they hold for all times.
-
-        Raises:
-            InvalidInputError: One is none; names its frames.
         """
         for one in transforms:
             parent, child = frame_name(one.header.frame_id), frame_name(one.child_frame_id)

@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -27,37 +27,7 @@ _TRACKED = 2  # columns in front of a tracking line's object
 _FIX = "Give lines of KITTI's objects: type, 14 numbers and a score or none; of its tracking set after frame and track."
 
 
-class Boxed(Protocol):
-    """An object of a file with a 3D box, of whatever format."""
-
-    @property
-    def number(self) -> int:
-        """Of the object in its file."""
-
-    @property
-    def kind(self) -> str:
-        """Its type."""
-
-    @property
-    def score(self) -> float:
-        """How sure the detector was."""
-
-    @property
-    def corners(self) -> Array:
-        """(4,) 2D box in pixels; NaN where the file has none."""
-
-    @property
-    def place(self) -> Mapping[str, str | int]:
-        """What finds it in its file, in the words of the format."""
-
-    def box(self, offset: Array) -> Box3D | None:
-        """The 3D box in the camera's frame; None where there is none in front of the camera."""
-
-    def with_box(self, box: Box3D, offset: Array) -> Any:
-        """How the file has it with another 3D box."""
-
-
-Item_co = TypeVar("Item_co", bound=Boxed, covariant=True)
+Item_co = TypeVar("Item_co", covariant=True)  # an object of a file with a 3D box
 
 
 @dataclass(frozen=True)
@@ -152,11 +122,7 @@ def boxed_images(boxes: Path, images: Path) -> list[BoxedImage[BoxLine]]:
 
 
 def images_of(folder: Path) -> dict[str, Path]:
-    """The images of a folder by their names without ending; or one alone.
-
-    Raises:
-        InvalidInputError: There are none.
-    """
+    """The images of a folder by their names without ending; or one alone."""
     if folder.is_file():
         return {folder.stem: folder}
     found = {p.stem: p for p in sorted(folder.glob("*")) if p.suffix.lower() in IMAGES}
@@ -166,11 +132,7 @@ def images_of(folder: Path) -> dict[str, Path]:
 
 
 def read_box_lines(path: Path) -> list[BoxLine]:
-    """The lines of a file, whatever they are of.
-
-    Raises:
-        InvalidInputError: The file cannot be read, or a line is malformed; names file and line.
-    """
+    """The lines of a file, whatever they are of."""
     return [_line(text, number, path) for number, text in enumerate(read_text(path, "boxes").splitlines(), start=1)]
 
 

@@ -200,11 +200,7 @@ def _check_folder(folder: Path) -> None:
 
 
 def names_images(file: Path) -> bool:
-    """Whether a file or folder of boxes tells those of several images apart.
-
-    Raises:
-        InvalidInputError: The file cannot be read.
-    """
+    """Whether a file or folder of boxes tells those of several images apart."""
     if file.is_dir() or file.suffix.lower() == ".json":
         return True
     rows = _lines(file, _changed(file))

@@ -218,11 +218,7 @@ def _short(value: Any) -> Any:
 
 
 def read_coco_keypoints(path: str | Path) -> VehicleLabels:
-    """Read what `write_coco_keypoints` wrote; the images are not opened.
-
-    Raises:
-        InvalidInputError: The file cannot be read, is another one, or is malformed; names file and field.
-    """
+    """Read what `write_coco_keypoints` wrote; the images are not opened."""
     source = Path(path)
     top = read_fields(source)
     if top.data.get("format") != COCO_KEYPOINTS_FORMAT:

@@ -32,9 +32,6 @@ def read_text(path: Path, field: str, fix: str = "") -> str:
     Args:
         field: What an error calls it, where it cannot be read.
         fix: What to give instead; empty for what is wrong with the file.
-
-    Raises:
-        InvalidInputError: The file cannot be read, or is no text.
     """
     try:
         return path.read_text(encoding="utf-8-sig")
@@ -124,22 +121,14 @@ def check_folder(path: Path) -> None:
 
 @contextmanager
 def text_file(path: str | Path) -> Iterator[Callable[[str], object]]:
-    """What adds to the text of a file, which is as of `write_text` when the context ends.
-
-    Raises:
-        InvalidInputError: As from `write_bytes`.
-    """
+    """What adds to the text of a file, which is as of `write_text` when the context ends."""
     with replacing(path) as part, part.open("wb") as file:
         yield lambda text: file.write(whole_text(text).encode())
 
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """A temporary file beside `path` to write to, which takes its place as `write_bytes` tells.
-
-    Raises:
-        InvalidInputError: As from `write_bytes`.
-    """
+    """A temporary file beside `path` to write to, which takes its place as `write_bytes` tells."""
     try:
         if _is_special(Path(path)):
             with _copied_to(Path(path)) as part:
@@ -248,11 +237,7 @@ def check_hash(path: Path, content: bytes) -> None:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file's content in hexadecimal digits; the file may be larger than the memory.
-
-    Raises:
-        InvalidInputError: It cannot be read.
-    """
+    """SHA-256 of a file's content in hexadecimal digits; the file may be larger than the memory."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

@@ -38,9 +38,6 @@ def refuse_unread(path: Path, field: str) -> None:
     Args:
         path: The file or folder.
         field: What the error is about.
-
-    Raises:
-        InvalidInputError: It is such; says what to do.
     """
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     for file in files:
@@ -63,9 +60,6 @@ def read_photograph(path: str | Path, whole: tuple[int, int] | None = None) -> t
 
     Args:
         whole: (width, height) in pixels of the image that it is a part of, whose camera is meant then.
-
-    Raises:
-        InvalidInputError: The file cannot be read or is no image.
     """
     return decode_photograph(_content(path), str(path), whole)
 
@@ -78,9 +72,6 @@ def decode_photograph(
     Args:
         name: What it is called in an error.
         whole: As in `read_photograph`.
-
-    Raises:
-        InvalidInputError: It is no image.
     """
     image = decode_image(content, name)
     return image, exif_camera(content, *(whole or (image.shape[1], image.shape[0])))
@@ -94,11 +85,7 @@ def _content(path: str | Path) -> bytes:
 
 
 def decode_image(content: bytes, name: str) -> NDArray[np.uint8]:
-    """The content of an image file as (H, W, 3) RGB bytes; see `read_image`. An error names it.
-
-    Raises:
-        InvalidInputError: It is no image.
-    """
+    """The content of an image file as (H, W, 3) RGB bytes; see `read_image`. An error names it."""
     import cv2  # on use: importing fgrecon must not import OpenCV
 
     _check_size(content, name)
@@ -141,11 +128,7 @@ def _check_size(content: bytes, name: str) -> None:
 
 
 def write_png(path: str | Path, image: NDArray[np.uint8]) -> Path:
-    """Write an RGB image (H, W, 3) as PNG, whole or not at all.
-
-    Raises:
-        InvalidInputError: The file cannot be written.
-    """
+    """Write an RGB image (H, W, 3) as PNG, whole or not at all."""
     import cv2
 
     return write_bytes(path, bytes(cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))[1]))

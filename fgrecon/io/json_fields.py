@@ -25,11 +25,7 @@ _ARTICLES = {int: "an integer", str: "a text", list: "a list", dict: "an object"
 
 
 def read_json(path: Path) -> Any:
-    """The content of a JSON file.
-
-    Raises:
-        InvalidInputError: The file cannot be read or is not JSON; names it.
-    """
+    """The content of a JSON file."""
     try:
         return parse_json(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -39,11 +35,7 @@ def read_json(path: Path) -> Any:
 
 
 def read_fields(path: Path) -> Fields:
-    """The fields of a JSON file that holds an object.
-
-    Raises:
-        InvalidInputError: As `read_json`, or it holds something else.
-    """
+    """The fields of a JSON file that holds an object."""
     return Fields(read_json(path), f"{path}: ")
 
 
@@ -52,9 +44,6 @@ def read_records(path: Path, what: str) -> list[Fields]:
 
     Args:
         what: Of what, for the error: `a list of ...`.
-
-    Raises:
-        InvalidInputError: As `read_json`, or it holds something else.
     """
     entries = read_json(path)
     if not isinstance(entries, list):
@@ -84,11 +73,7 @@ def _whole(value: Any) -> Any:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The content of a TOML file.
-
-    Raises:
-        InvalidInputError: The file cannot be read or is not TOML; names it.
-    """
+    """The content of a TOML file."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
@@ -104,9 +89,6 @@ def within(where: str, names: Mapping[str, str] | None = None) -> Iterator[None]
     Args:
         where: The place, such as `cars.json: instance 3: `.
         names: What the file calls fields that have other names in fgrecon.
-
-    Raises:
-        InvalidInputError: One was raised inside.
     """
     try:
         yield
@@ -124,11 +106,7 @@ class Fields:
     """
 
     def __init__(self, data: Any, where: str) -> None:
-        """Take the object.
-
-        Raises:
-            InvalidInputError: It is not an object.
-        """
+        """Take the object."""
         if not isinstance(data, Mapping):
             raise InvalidInputError(where.rstrip(".: ") or "file", data, "Give a JSON object.")
         self.data = data
@@ -139,11 +117,7 @@ class Fields:
         return self.data.get(field) is not None
 
     def get(self, field: str, kind: type) -> Any:
-        """A field of a kind (int, str, list or dict).
-
-        Raises:
-            InvalidInputError: It is missing or of another kind.
-        """
+        """A field of a kind (int, str, list or dict)."""
         if field not in self.data:
             raise InvalidInputError(f"{self.where}{field}", "nothing", "Give this field.")
         value = self.data[field]
@@ -152,19 +126,11 @@ class Fields:
         return value
 
     def inner(self, field: str, *, needed: bool = True) -> Fields:
-        """The fields of an object in a field; where it is not needed and not there, none.
-
-        Raises:
-            InvalidInputError: It is missing, or no object.
-        """
+        """The fields of an object in a field; where it is not needed and not there, none."""
         return Fields(self.get(field, dict) if needed or field in self else {}, f"{self.where}{field}.")
 
     def each(self, field: str, *, needed: bool = True) -> Iterator[Fields]:
-        """The objects of a list in a field; where it is not needed and not there, none.
-
-        Raises:
-            InvalidInputError: It is missing, no list, or an element is no object.
-        """
+        """The objects of a list in a field; where it is not needed and not there, none."""
         for number, item in enumerate(self.get(field, list) if needed or field in self else ()):
             yield Fields(item, f"{self.where}{field}[{number}].")
 

@@ -115,11 +115,7 @@ class Instance:
 
     @property
     def observation(self) -> Observation:
-        """What `fgrecon.reconstruct` takes; without confidences each point is as likely right as wrong.
-
-        Raises:
-            InvalidInputError: A number cannot be used.
-        """
+        """What `fgrecon.reconstruct` takes; without confidences each point is as likely right as wrong."""
         observation = Observation.of(
             self.keypoints, self.confidence, self.box, self.covariance, self.confidence_midpoint, self.azimuth
         )
@@ -288,11 +284,7 @@ def _initial(fields: Fields) -> Box3D | float:
 
 
 def parse_camera(fields: Fields) -> Camera | None:
-    """The camera of an instance or of all; None where its fields are absent.
-
-    Raises:
-        InvalidInputError: A field is malformed.
-    """
+    """The camera of an instance or of all; None where its fields are absent."""
     matrices = [name for name in ("K", "intrinsics") if name in fields]
     if not matrices:
         if "distortion" in fields:
@@ -341,9 +333,6 @@ def refuse_results(data: Any, where: str) -> None:
     Args:
         data: The content of a JSON file.
         where: Put in front of the field that the error names.
-
-    Raises:
-        InvalidInputError: It is such; names the command.
     """
     kind = data.get("format") if isinstance(data, Mapping) else None
     if isinstance(kind, str) and kind.startswith("fgrecon."):

@@ -79,11 +79,7 @@ def has_labels(folder: Path) -> bool:
 
 
 def read_images(folder: Path) -> Drive:
-    """Read a drive or a folder of single images, whichever it is; the images are not opened.
-
-    Raises:
-        InvalidInputError: It is neither, or a file is missing or malformed; names file and line.
-    """
+    """Read a drive or a folder of single images, whichever it is; the images are not opened."""
     if (folder / _DRIVE).is_file():
         return read_drive(folder)
     if (folder / _SINGLE).is_dir():
@@ -98,9 +94,6 @@ def read_drive(folder: Path, tracks: Path | None = None) -> Drive:
     Args:
         folder: With its images, labels and calibration.
         tracks: A tracker's results in the place of the labels: kinds, 2D boxes and numbers alone are taken.
-
-    Raises:
-        InvalidInputError: A file is missing or malformed; names file and line.
     """
     if tracks is None:
         rows = read_tracking(folder / _DRIVE, f"Give a folder with {_DRIVE} of KITTI's tracking set.", results=False)
@@ -137,9 +130,6 @@ def read_object_folder(folder: Path) -> Drive:
     """Read single images in the layout of KITTI's object set, those that have an image; the images are not opened.
 
     The tracks are numbered through the folder, in the order of the images and of the lines of their label files.
-
-    Raises:
-        InvalidInputError: A file is missing or malformed; names file and line.
     """
     frames: list[DriveFrame] = []
     count = 0

@@ -164,9 +164,6 @@ def read_tracking(path: Path, fix: str = _FIX, *, results: bool = True) -> dict[
         path: Text file.
         fix: What to do where it cannot be read, for the error.
         results: Whether lines may have a score after the label.
-
-    Raises:
-        InvalidInputError: The file cannot be read, or a line has another format; names file and line.
     """
     rows: dict[int, list[tuple[int, str, list[float]]]] = defaultdict(list)
     for place, line in filled_lines(path, "labels", fix):

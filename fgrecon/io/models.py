@@ -42,9 +42,6 @@ def read_models(folder: Path, category: Category, axes: str | None = None) -> li
         folder: The folder, or the file.
         category: The category whose keypoints models may have.
         axes: What points forward and up in meshes, such as `x,z`; None for x and -y, and in GLB files z and y.
-
-    Raises:
-        InvalidInputError: There is no model, a file cannot be read, or its content is none; names the file.
     """
     if axes is not None:
         check_axes(axes)

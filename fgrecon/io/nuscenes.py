@@ -32,11 +32,7 @@ class NuScenesTables:
     folder: Path  # the folder, such as `v1.0-mini`
 
     def table(self, name: str) -> Mapping[str, Fields]:
-        """The records of a table by their tokens.
-
-        Raises:
-            InvalidInputError: There is no such table, or it is malformed; names file and record.
-        """
+        """The records of a table by their tokens."""
         path = self.folder / f"{name}.json"
         try:
             changed = path.stat().st_mtime_ns
@@ -45,11 +41,7 @@ class NuScenesTables:
         return _table(path, changed)
 
     def named(self, record: Fields, field: str, table: str) -> Fields:
-        """The record of another table that a record names.
-
-        Raises:
-            InvalidInputError: There is none; names record and field.
-        """
+        """The record of another table that a record names."""
         token = record.get(field, str)
         found = self.table(table).get(token)
         if found is None:
@@ -58,11 +50,7 @@ class NuScenesTables:
         return found
 
     def image(self, name: str) -> Fields:
-        """The record of an image by the name of its file.
-
-        Raises:
-            InvalidInputError: There is none.
-        """
+        """The record of an image by the name of its file."""
         stem = Path(name).stem
         for record in self.table("sample_data").values():
             if Path(record.get("filename", str)).stem == stem:
@@ -119,9 +107,6 @@ def cuboid_boxes(tables: NuScenesTables, image: str) -> Iterator[CuboidBox]:
     Args:
         tables: The tables; of `sample_annotation`, `instance` and `category` as well.
         image: Name of the image.
-
-    Raises:
-        InvalidInputError: There is no such image, or a record is malformed.
     """
     record = tables.image(image)
     sensor = tables.named(record, "calibrated_sensor_token", "calibrated_sensor")
@@ -165,11 +150,7 @@ def camera_T_lidar(tables: NuScenesTables, image: str, sweep: str) -> Array:
 
 
 def sweep_of(tables: NuScenesTables, image: str) -> str | None:
-    """Name of the file of the LiDAR's sweep that belongs to an image; None where there is none.
-
-    Raises:
-        InvalidInputError: There is no such image, or a record is malformed.
-    """
+    """Name of the file of the LiDAR's sweep that belongs to an image; None where there is none."""
     sample = tables.image(image).get("sample_token", str)
     for record in tables.table("sample_data").values():
         name = record.get("filename", str)

@@ -18,9 +18,6 @@ def filled_lines(path: Path, field: str, fix: str = "") -> Iterator[tuple[str, s
     Args:
         field: What an error calls the file, where it cannot be read.
         fix: What to give instead; empty for what is wrong with it.
-
-    Raises:
-        InvalidInputError: It cannot be read.
     """
     for number, line in enumerate(read_text(path, field, fix).splitlines(), start=1):
         if line.strip():
@@ -55,11 +52,7 @@ def named_matrix(lines: Mapping[str, list[str]], name: str, shape: tuple[int, in
 
 
 def named_pose(lines: Mapping[str, list[str]], name: str, path: Path) -> Array:
-    """(4, 4) of the twelve numbers of a line.
-
-    Raises:
-        InvalidInputError: As `named_matrix` raises it.
-    """
+    """(4, 4) of the twelve numbers of a line."""
     return as_pose(named_matrix(lines, name, (3, 4), path))
 
 

@@ -103,11 +103,7 @@ class GivenBoxes:
     def in_file(
         self, image: Path, pixels: NDArray[Any], *, scale_to_image: bool = False, classes: ClassSource | None = None
     ) -> FileBoxes:
-        """What the file has for an image, which may be no car; the arguments are those of `of_image`.
-
-        Raises:
-            InvalidInputError: The file cannot be used.
-        """
+        """What the file has for an image, which may be no car; the arguments are those of `of_image`."""
         assert self.file is not None
         place, size = str(image.absolute().parent / image.stem), (pixels.shape[1], pixels.shape[0])
         how = {"scale_to_image": scale_to_image, "all_classes": classes is not None}

@@ -19,10 +19,10 @@ from fgrecon.core.choices import BoxOrigin
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.refined_box import RefinedBox
-from fgrecon.io.box_lines import Boxed, BoxedImage, BoxLine, boxed_images, text_of
+from fgrecon.io.box_lines import BoxedImage, BoxLine, boxed_images, text_of
 from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.datasets import is_data_set, open_sequence
-from fgrecon.io.datasets.detections import Detections, is_submission, read_detections, read_submission
+from fgrecon.io.datasets.detections import DetectedBox, Detections, is_submission, read_detections, read_submission
 from fgrecon.io.files import behind_links, check_output, write_bytes, write_text
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import calibration_beside, read_calibration
@@ -33,6 +33,9 @@ from fgrecon.perception.refine import refine_boxes
 from fgrecon.perception.sensor_source import SensorSource
 from fgrecon.solve.box_origin import contradicted_origin, on_bottom, with_origin
 from fgrecon.solve.inputs import as_ground
+
+Boxed = BoxLine | DetectedBox
+"""An object of a file with a 3D box."""
 
 KINDS = "Car", "Van"
 """Types of objects that are refined, in capitals or not."""
@@ -52,11 +55,7 @@ class RefineRequest:
     sensors: SensorSource | None = None  # other sensors' files, or None
 
     def __post_init__(self) -> None:
-        """Check the score.
-
-        Raises:
-            InvalidInputError: It is not finite.
-        """
+        """Check the score."""
         if not math.isfinite(self.min_score):
             fix = "Give a finite number, less than all scores to refine all."
             raise InvalidInputError("min_score", self.min_score, fix)
@@ -196,11 +195,7 @@ class BoxFiles:
         self._refined: list[RefinedImage] = []
 
     def add(self, refined: RefinedImage) -> None:
-        """Take an image; of a folder it is written as soon as one of the images can be used.
-
-        Raises:
-            InvalidInputError: A file cannot be written.
-        """
+        """Take an image; of a folder it is written as soon as one of the images can be used."""
         self._refined.append(refined)
         self._waiting.append(refined)
         if self._is_folder and any(image.error is None for image in self._waiting):

@@ -96,11 +96,7 @@ class SensorSource:
         return DataSetSweeps.of_source(self.lidar)
 
     def check(self, images: Iterable[str]) -> None:
-        """Refuse files of which none is of one of the images, by their names.
-
-        Raises:
-            InvalidInputError: There is none.
-        """
+        """Refuse files of which none is of one of the images, by their names."""
         names = list(images)
         for files in self._files:
             if not any(self._file(files, Path(name)) for name in names):

@@ -499,11 +499,7 @@ def _keypoint_warnings(job: VideoJob, run: VideoRun) -> list[str]:
 
 
 def write_tracks(job: VideoJob, run: VideoRun) -> None:
-    """Write tables and frames into the folder of the results, each file whole.
-
-    Raises:
-        InvalidInputError: A file cannot be written.
-    """
+    """Write tables and frames into the folder of the results, each file whole."""
     out, ground = job.request.out, job.settings.ground
     names = [out / "tracks.csv", out / "tracks.parquet"]
     with ExitStack() as files:

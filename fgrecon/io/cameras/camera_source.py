@@ -34,9 +34,6 @@ def read_camera(source: str | Path, image: str | None = None) -> MountedCamera:
             `FILE#P3`, `FOLDER#CAM_FRONT`, `FOLDER#SEQUENCE/CAMERA`, `FILE#FRONT`; `#projection_matrix` is ROS's
             rectified camera.
         image: File name of the photograph, by which data sets, COLMAP and nerfstudio tell the camera.
-
-    Raises:
-        InvalidInputError: The file cannot be read, has no such camera, or is malformed; names file and field.
     """
     path, name = _split(source)
     if is_nuscenes(path) and "/" not in (name or ""):

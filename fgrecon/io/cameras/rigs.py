@@ -109,9 +109,6 @@ def waymo_camera(data: Any, name: str | None, where: str) -> MountedCamera:
         data: The content of the file.
         name: Which camera, such as FRONT; None for the only one.
         where: What errors begin with.
-
-    Raises:
-        InvalidInputError: There is no such camera, or a field is malformed.
     """
     found: dict[str, Fields] = {}
     for number, entry in enumerate(_waymo_entries(data)):

@@ -36,11 +36,7 @@ for _name in ("opencv-matrix", "opencv-nd-matrix"):
 
 
 def read_storage(path: Path) -> Any:
-    """The content of a YAML or XML file as JSON would have it.
-
-    Raises:
-        InvalidInputError: The file cannot be read, or is neither; names it.
-    """
+    """The content of a YAML or XML file as JSON would have it."""
     text = read_text(path, "camera")
     if path.suffix.lower() == ".xml":
         try:

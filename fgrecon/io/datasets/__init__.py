@@ -81,9 +81,6 @@ def open_drive(source: str | Path) -> Drive:
 
     Args:
         source: The folder; of a data set with what is meant of it.
-
-    Raises:
-        InvalidInputError: It is none of these, or a file is missing or malformed; names it.
     """
     if has_labels(Path(source)) or not is_data_set(source):
         return read_images(Path(source).absolute())
@@ -92,11 +89,7 @@ def open_drive(source: str | Path) -> Drive:
 
 
 def open_images(source: str | Path) -> tuple[CameraImage, ...]:
-    """The images of a sequence of a data set, or of one of its cameras; those whose files are there.
-
-    Raises:
-        InvalidInputError: As `open_sequence` does, or there is no image.
-    """
+    """The images of a sequence of a data set, or of one of its cameras; those whose files are there."""
     found, camera = open_sequence(source)
     return images_there(found, found.images if camera is None else found.of_camera(camera))
 

@@ -27,11 +27,7 @@ class Columns:
         return int(self.table.num_rows)
 
     def values(self, name: str) -> list[Any]:
-        """A column.
-
-        Raises:
-            InvalidInputError: There is none, or a value is missing; names the column.
-        """
+        """A column."""
         if name not in self.table.column_names:
             listed = ", ".join(self.table.column_names)
             raise InvalidInputError(f"{self.where}{name}", "no such column", f"Give this column; there are {listed}.")
@@ -41,11 +37,7 @@ class Columns:
         return column.to_pylist()
 
     def numbers(self, *names: str) -> Array:
-        """(N, len(names)) of columns.
-
-        Raises:
-            InvalidInputError: One is missing, or a value is no finite number; names column and row.
-        """
+        """(N, len(names)) of columns."""
         rows = []
         for name in names:
             found = self.values(name)
@@ -74,11 +66,7 @@ class Columns:
 
 
 def read_columns(path: Path, columns: Sequence[str] | None = None) -> Columns:
-    """All or some columns of a feather or Parquet file, by its ending.
-
-    Raises:
-        InvalidInputError: It cannot be read.
-    """
+    """All or some columns of a feather or Parquet file, by its ending."""
     import pyarrow as pa
     from pyarrow import feather, parquet
 

@@ -168,9 +168,6 @@ def drive_of(drive: DataSequence, camera: str | None = None) -> Drive:
 
     Images without a file are left out; those inside of tables are unpacked (`unpacked_images`). Boxes are upright in
     the camera's frame there, as KITTI's are: of a camera that looks up or down they lose the angle to it.
-
-    Raises:
-        InvalidInputError: There is no such camera, or no file of an image.
     """
     there = images_there(drive, drive.of_camera(camera))
     tracks: dict[str, int] = {}
@@ -179,11 +176,7 @@ def drive_of(drive: DataSequence, camera: str | None = None) -> Drive:
 
 
 def images_there(drive: DataSequence, images: tuple[CameraImage, ...]) -> tuple[CameraImage, ...]:
-    """Those of the images whose files are there, in order of time; those inside of tables are unpacked.
-
-    Raises:
-        InvalidInputError: There is none, or one cannot be written.
-    """
+    """Those of the images whose files are there, in order of time; those inside of tables are unpacked."""
     for image in images:
         if image.content is not None and not image.path.is_file():
             image.path.parent.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,8 @@
 
 Of the 3D box CVAT (`cuboid`, front first), datumaro (`cuboid_2d`) and FiftyOne (`Polyline`) have the corners' pixels,
 where all are ahead, scalabel `box3d` in the camera's frame, by its centre; the others have nothing of it. The size of
-the images must be known, by the results' camera, for all but CVAT and labelme.
+the images must be known, by the results' camera, for all but CVAT and labelme: an `InvalidInputError` says so, and
+where vehicles are of several images for a file of one.
 """
 
 from __future__ import annotations
@@ -89,11 +90,7 @@ def _cvat_shapes(image: ET.Element, item: NamedResult, group: str) -> None:
 
 
 def label_studio_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:  # noqa: ARG001 - as all
-    """Label Studio's tasks with predictions, for the controls `box` and `keypoint` of an image.
-
-    Raises:
-        InvalidInputError: The size of an image is not known.
-    """
+    """Label Studio's tasks with predictions, for the controls `box` and `keypoint` of an image."""
     tasks = []
     for number, (name, items) in enumerate(by_image(results).items(), start=1):
         size = known_size(name, items)
@@ -136,11 +133,7 @@ def _label_studio_regions(item: NamedResult, size: tuple[int, int]) -> list[dict
 
 
 def scalabel_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
-    """Scalabel's frames, as BDD100K's; of a camera with a lens the graph and the box are in the image, as all pixels.
-
-    Raises:
-        InvalidInputError: The size of an image is not known.
-    """
+    """Scalabel's frames, as BDD100K's; of a camera with a lens graph and box are in the image, as all pixels."""
     frames = []
     for number, (name, items) in enumerate(by_image(results).items()):
         width, height = known_size(name, items)
@@ -227,11 +220,7 @@ def image_size(items: Sequence[NamedResult]) -> tuple[int, int] | None:
 
 
 def known_size(name: str, items: Sequence[NamedResult]) -> tuple[int, int]:
-    """Width and height of an image.
-
-    Raises:
-        InvalidInputError: They are not known.
-    """
+    """Width and height of an image."""
     size = image_size(items)
     if size is None:
         fix = "Give results whose camera knows the size of its images (`image_size`), or another --format."
@@ -254,11 +243,7 @@ _FACES = ([5, 4, 6, 7], [1, 0, 2, 3], [7, 6, 2, 3], [5, 4, 0, 1])
 
 
 def labelme_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:  # noqa: ARG001 - as all
-    """A file of labelme for an image, to be put beside it.
-
-    Raises:
-        InvalidInputError: The vehicles are of several images, each of which has a file.
-    """
+    """A file of labelme for an image, to be put beside it."""
     name, items = one_image(results, "labelme")
     shapes: list[dict[str, Any]] = []
     for group, item in enumerate(items):
@@ -278,11 +263,7 @@ def labelme_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]
 
 
 def supervisely_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:  # noqa: ARG001 - as all
-    """Supervisely's annotation of an image; its project has `Car` with the keypoints, and `Car box` (so for each kind).
-
-    Raises:
-        InvalidInputError: The vehicles are of several images, or the size of theirs is not known.
-    """
+    """Supervisely's annotation of an image; its project has for each kind `Car` with the keypoints, and `Car box`."""
     name, items = one_image(results, "Supervisely")
     width, height = known_size(name, items)
     objects: list[dict[str, Any]] = []
@@ -302,11 +283,7 @@ def supervisely_text(results: Sequence[NamedResult], images: Mapping[str, ImageI
 
 
 def datumaro_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:  # noqa: ARG001 - as all
-    """The own file of datumaro, for its folder `annotations`.
-
-    Raises:
-        InvalidInputError: The size of an image is not known.
-    """
+    """The own file of datumaro, for its folder `annotations`."""
     found = by_image(results)
     vehicles = [item for items in found.values() for item in items]
     kinds = list(dict.fromkeys(_kind(item) for item in vehicles))
@@ -338,11 +315,7 @@ def datumaro_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo
 
 
 def fiftyone_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:  # noqa: ARG001 - as all
-    """FiftyOne's `samples.json`: each sample is one for `fiftyone.Sample.from_dict`.
-
-    Raises:
-        InvalidInputError: The size of an image is not known.
-    """
+    """FiftyOne's `samples.json`: each sample is one for `fiftyone.Sample.from_dict`."""
     samples = []
     for name, items in by_image(results).items():
         size = known_size(name, items)
@@ -374,11 +347,7 @@ def fiftyone_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo
 
 
 def one_image(results: Sequence[NamedResult], tool: str) -> tuple[str, list[NamedResult]]:
-    """The image that all vehicles are of, and the vehicles.
-
-    Raises:
-        InvalidInputError: They are of several images.
-    """
+    """The image that all vehicles are of, and the vehicles."""
     found = by_image(results)
     if len(found) != 1:
         fix = f"Write a file for each image (fgrecon.io.export.export): {tool} has them so."

@@ -24,11 +24,7 @@ _VISIBLE_PROBABILITY = 0.5  # keypoints above it have COCO's flag of visible one
 
 
 def kitti_text(results: Sequence[NamedResult]) -> str:
-    """`kitti_objects` of the vehicles as lines.
-
-    Raises:
-        InvalidInputError: The vehicles are of several images, each of which has a file of its own in KITTI.
-    """
+    """`kitti_objects` of the vehicles as lines."""
     return format_results(kitti_objects(results))
 
 
@@ -69,10 +65,6 @@ def coco_results_text(results: Sequence[NamedResult], images: Mapping[str, Image
     `image_id` is that of the images file, else the image's name (a number where it is one). A keypoint's flag is 2
     where it is probably seen and 1 where it is hidden. `cuboid` is as in fgrecon's keypoint labels; its corners are
     `null` behind the camera, and missing where no camera is known.
-
-    Args:
-        results: Vehicles; those without a pose are left out.
-        images: What is known of their images.
     """
     entries = []
     for image, items in by_image(results).items():

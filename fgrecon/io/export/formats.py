@@ -143,11 +143,7 @@ def export(
 
 
 def export_rows(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:
-    """Write rows with the same columns as a table, whole or not at all; `.csv` or `.parquet` by the ending.
-
-    Raises:
-        InvalidInputError: Another ending, the file cannot be written, or there is no row.
-    """
+    """Write rows with the same columns as a table, whole or not at all; `.csv` or `.parquet` by the ending."""
     with table_file(path) as add:
         if not rows:
             raise InvalidInputError("rows", "none", "Give at least one.")
@@ -156,9 +152,5 @@ def export_rows(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:
 
 
 def table_file(path: str | Path) -> AbstractContextManager[AddRows]:
-    """What adds rows to such a table, one at least; it is there when the context ends.
-
-    Raises:
-        InvalidInputError: Another ending, or the file cannot be written.
-    """
+    """What adds rows to such a table, one at least; it is there when the context ends."""
     return _TABLES[check_ending(path, TABLE_FORMATS)](Path(path))

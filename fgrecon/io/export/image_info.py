@@ -61,9 +61,6 @@ def read_images_file(path: Path) -> dict[str, ImageInfo]:
         path: A camera of a data set (`fgrecon.io.datasets`), or a topic of a bag (`fgrecon.io.bag_drive`); or JSON:
             an object that has for each image (or `*`, for those not named) an object with `sample_token`, `image_id`,
             `timestamp` in seconds, `world_T_camera`, `world_T_vehicle` (4 x 4) and `sequence`, as far as known.
-
-    Raises:
-        InvalidInputError: The file cannot be read, or a field is of the wrong kind; names image and field.
     """
     if is_data_set(path):
         return _of_data_set(path)

@@ -5,6 +5,9 @@ frame is `world` where the camera's pose is known, else `camera` (x right, y dow
 `/tf`, before each image), which is upright: z up, x ahead, y to the left, as ROS' REP 103 and 105 have it. The world of
 a video's run is the frame of its first camera, whose y axis points down: a viewer that takes z for up shows it lying on
 its side. A world that is upright as it is (nuScenes') stays as it is.
+
+A time that MCAP or ROS 2 cannot tell is an `InvalidInputError` that names the image, a package that is not installed a
+`MissingPackageError`.
 """
 
 from __future__ import annotations
@@ -71,12 +74,7 @@ class _Moment:
 
 
 def scene_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> bytes:
-    """MCAP of Foxglove's scene updates (JSON), topic `/fgrecon/scene`: of each vehicle box, wireframe and name.
-
-    Raises:
-        InvalidInputError: An image's time is none that MCAP can tell; names it.
-        MissingPackageError: mcap is not installed.
-    """
+    """MCAP of Foxglove's scene updates (JSON), topic `/fgrecon/scene`: of each vehicle box, wireframe and name."""
     try:
         from mcap.writer import Writer
     except ImportError as error:
@@ -105,21 +103,12 @@ def detections_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageI
 
     The hypotheses of a detection are the result, with its covariance, and then its alternatives, whose covariances are
     not known (zeros). Their scores share that of the detection as their energies say.
-
-    Raises:
-        InvalidInputError: An image's time is none that ROS 2 can tell; names it.
-        MissingPackageError: mcap-ros2-support is not installed.
     """
     return _ros_bytes(results, images, {name: _ROS_TOPICS[name] for name in _ROS_TOPICS if "vision" in name})
 
 
 def ros2_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> bytes:
-    """The same, and markers of rviz (`/fgrecon/markers`) and Foxglove's scenes (`/fgrecon/scene`).
-
-    Raises:
-        InvalidInputError: As `detections_bytes`.
-        MissingPackageError: As `detections_bytes`.
-    """
+    """The same, and markers of rviz (`/fgrecon/markers`) and Foxglove's scenes (`/fgrecon/scene`)."""
     return _ros_bytes(results, images, _ROS_TOPICS)
 
 

@@ -139,11 +139,7 @@ def read_results(path: str | Path, prior: ShapePrior | str | Path | None = None)
 
 
 def ground_of(settings: Mapping[str, Any]) -> Ground | None:
-    """The ground plane among settings as files have them, or None.
-
-    Raises:
-        InvalidInputError: It is none.
-    """
+    """The ground plane among settings as files have them, or None."""
     plane = settings.get("ground")
     return None if plane is None else Ground(np.array(plane["normal"]), plane["distance"])
 

@@ -1,12 +1,16 @@
-"""Results as evaluations of data sets take them.
+"""Results as evaluations of data sets take them; `--images` takes what they need from the data set.
 
-| kind | boxes in the frame of | cars are |
-|---|---|---|
-| `nuscenes`, `nuscenes_tracking`, `truckscenes` | the world | `car` |
-| `argoverse2` | the vehicle at the sweep's time | `REGULAR_VEHICLE` |
-| `waymo` | the vehicle at the frame's time | `TYPE_VEHICLE` |
-| `zod` | the vehicle at the key frame's time | `Vehicle_Car`; vans `Vehicle_Van` |
-| `cityscapes3d` | the vehicle | `car` |
+| kind | boxes in the frame of | cars are | `sample_token` of their images | also needed |
+|---|---|---|---|---|
+| `nuscenes`, `nuscenes_tracking`, `truckscenes` | the world | `car` | the sample | `world_T_camera` |
+| `argoverse2` | the vehicle at the sweep's time | `REGULAR_VEHICLE` | the sweep's time, ns | all |
+| `waymo` | the vehicle at the frame's time | `TYPE_VEHICLE` | the frame's time, us | all |
+| `zod` | the vehicle at the key frame's time | `Vehicle_Car`, `Vehicle_Van` | the frame | all but `sequence` |
+| `cityscapes3d` | the vehicle | `car` | - | `world_T_camera`, where the world is the vehicle |
+
+All of it is `world_T_camera`, `world_T_vehicle` at that time, and `sequence`: the log or segment. Vehicles without a
+pose are left out, and those of images of no sample, whose token is empty. What is missing of an image is refused by an
+`InvalidInputError` that names it, and so is a file that would be empty where the data set's may not be.
 """
 
 from __future__ import annotations
@@ -37,34 +41,20 @@ _TRUCKS = (
 
 
 def nuscenes_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
-    """The JSON of a submission of the detection task. Attributes are empty, and velocities zero where none is known.
+    """The JSON of a submission of the detection task; attributes are empty, and velocities zero where none is known.
 
-    Args:
-        results: Vehicles; those without a pose are left out.
-        images: `sample_token` and `world_T_camera` of their images. A sample without a vehicle has an empty list;
-            images of no sample, whose token is empty, are left out.
-
-    Raises:
-        InvalidInputError: Either is missing for an image; names it.
+    A sample without a vehicle has an empty list.
     """
     return _nuscenes(results, images, _detection)
 
 
 def truckscenes_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
-    """The same with what TruckScenes' evaluation wants to know of a method; the text of `meta` is to be filled in.
-
-    Raises:
-        InvalidInputError: As `nuscenes_text` raises it.
-    """
+    """The same with what TruckScenes' evaluation wants to know of a method; the text of `meta` is to be filled in."""
     return _nuscenes(results, images, _detection, _TRUCKS)
 
 
 def nuscenes_tracking_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
-    """The JSON of a submission of the tracking task; see `nuscenes_text`. A vehicle's name is its track.
-
-    Raises:
-        InvalidInputError: As `nuscenes_text` raises it.
-    """
+    """The JSON of a submission of the tracking task; see `nuscenes_text`. A vehicle's name is its track."""
 
     def entry(item: NamedResult) -> dict[str, Any]:
         return {"tracking_id": track_of(item), "tracking_name": "car", "tracking_score": float(score(item))}
@@ -90,16 +80,7 @@ def _nuscenes(
 
 
 def argoverse2_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> bytes:
-    """A feather file of Argoverse 2's detections: a row a box, in the vehicle's frame at the time of the sweep.
-
-    Args:
-        results: Vehicles; those without a pose are left out, and so are those of images that are of no sweep.
-        images: `sample_token` (the sweep's time in nanoseconds), `sequence` (the log), `world_T_camera` and
-            `world_T_vehicle` (of the sweep) of their images; `--images` takes them from the data set.
-
-    Raises:
-        InvalidInputError: One is missing for an image; names it.
-    """
+    """A feather file of Argoverse 2's detections: a row a box."""
     import pyarrow as pa
     from pyarrow import feather
 
@@ -118,16 +99,7 @@ def argoverse2_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageI
 
 
 def waymo_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> bytes:
-    """Waymo's `Objects` (a protocol buffer), for its metrics and, inside of a `Submission`, its server.
-
-    Args:
-        results: Vehicles; those without a pose are left out, and so are those of images that are of no frame.
-        images: `sample_token` (the frame's time in microseconds), `sequence` (the segment), `world_T_camera` and
-            `world_T_vehicle` (of the frame) of their images; `--images` takes them from the data set.
-
-    Raises:
-        InvalidInputError: One is missing for an image; names it.
-    """
+    """Waymo's `Objects` (a protocol buffer), for its metrics and, inside of a `Submission`, its server."""
     found = objects_class()()
     for one in _boxes(results, images, *_ON_VEHICLE):
         names = "center_x", "center_y", "center_z", "length", "width", "height", "heading"
@@ -146,15 +118,7 @@ def waymo_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo])
 
 
 def zod_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
-    """Boxes by key frame for ZOD's own evaluation: its `EvalBoxes.deserialize` takes `results`.
-
-    Args:
-        results: Vehicles; those without a pose are left out, and so are those of images that are of no key frame.
-        images: `sample_token` (the frame), `world_T_camera` and `world_T_vehicle` of their images.
-
-    Raises:
-        InvalidInputError: One is missing for an image; names it.
-    """
+    """Boxes by key frame for ZOD's own evaluation: its `EvalBoxes.deserialize` takes `results`."""
     found: dict[str, list[dict[str, Any]]] = {}
     for box in _boxes(results, images, "sample_token", "world_T_camera", "world_T_vehicle"):
         frame, kind = box.token.rpartition("/")[2], "Van" if (box.item.kind or "").lower() == "van" else "Car"
@@ -164,15 +128,7 @@ def zod_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) ->
 
 
 def cityscapes3d_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
-    """The JSON of an image's boxes for Cityscapes 3D's evaluation, in the vehicle's frame.
-
-    Args:
-        results: Vehicles of one image.
-        images: Its `world_T_camera`, where the world is the vehicle.
-
-    Raises:
-        InvalidInputError: The pose is missing, or the vehicles are of several images, each of which has a file.
-    """
+    """The JSON of the boxes of one image for Cityscapes 3D's evaluation."""
     one_image(results, "Cityscapes")
     entries = []
     for box in _boxes(results, images, "world_T_camera"):

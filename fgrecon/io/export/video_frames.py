@@ -59,9 +59,6 @@ def read_video_frames(
     Returns:
         The vehicles, named by their ids and their frames as images; and by their names all frames, and what images
         there are beside them: samples between the frames of a run belong to its results.
-
-    Raises:
-        InvalidInputError: The file cannot be read or is no such; names the line.
     """
     results: list[NamedResult] = []
     infos: dict[str, ImageInfo] = {}

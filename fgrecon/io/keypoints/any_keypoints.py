@@ -40,9 +40,6 @@ def read_any_keypoints(
         category: The category whose keypoints are wanted.
         names: What is known of the file's names, where neither the file nor a shipped scheme says it; see `NamesLike`.
         image: Name of a photograph: of a file of several, only its vehicles are wanted.
-
-    Raises:
-        InvalidInputError: The file cannot be read or is none of these, or a value is malformed; names file and field.
     """
     refuse_other_file(path)
     if path.suffix.lower() not in NOT_JSON:
@@ -62,9 +59,6 @@ def parse_any_keypoints(
         names: What is known of its names.
         image: Name of the photograph whose vehicles are wanted.
         where: Put in front of every field that an error names.
-
-    Raises:
-        InvalidInputError: A value is missing or malformed; names the field.
     """
     known = None if names is None else parse_names(names, category)
     if is_annotations(data):

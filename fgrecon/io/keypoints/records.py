@@ -64,9 +64,6 @@ def read_anchors(path: Path, child: Isolated | None = None) -> list[AnchoredObje
 
     Args:
         child: The process to decode it in, since damaged files can kill SciPy's; None starts one.
-
-    Raises:
-        InvalidInputError: The file cannot be read, or is none of PASCAL3D+'s.
     """
     if child is not None:
         return child(str(path), _decode, path)
@@ -161,11 +158,7 @@ def keypoint_records(path: Path, category: Category) -> list[Any]:
 
 
 def named_records(path: Path, category: Category) -> Iterator[tuple[Record | InvalidInputError, str]]:
-    """The vehicles of a file that is no JSON, their points by name, and what errors about each begin with.
-
-    Raises:
-        InvalidInputError: The file cannot be read or is malformed; names it.
-    """
+    """The vehicles of a file that is no JSON, their points by name, and what errors about each begin with."""
     return _READERS[path.suffix.lower()](path, category)
 
 
@@ -207,9 +200,6 @@ def carfusion_records(path: Path) -> Iterator[tuple[dict[str, Any], str]]:
     """Instances of one file in the layout of a keypoint file, and what errors about each begin with.
 
     Points at or beyond the image's upper and left edge are CarFusion's for "outside", and left out.
-
-    Raises:
-        InvalidInputError: The file cannot be read, or a line is malformed; names it.
     """
     order = scheme_keypoints("carfusion")
     cars: dict[int, dict[str, list[float]]] = {}
@@ -263,9 +253,6 @@ def yolo_pose_records(path: Path, category: Category) -> Iterator[tuple[Record |
         path: The lines.
         category: The category whose keypoints are wanted: where its size fits, points have as many numbers as that
             tells; else three.
-
-    Raises:
-        InvalidInputError: The file cannot be read, or its image is not there.
     """
     lines = read_text(path, "file").splitlines()
     image = _yolo_image(path)

@@ -250,9 +250,6 @@ def tool_records(data: Any, where: str) -> Records:
     Args:
         data: The content of the file.
         where: What errors begin with.
-
-    Raises:
-        InvalidInputError: The file's frame is malformed; names the field.
     """
     if isinstance(data, Mapping):
         return (label_reader(data) or _labelme)(Fields(data, where))
@@ -344,11 +341,7 @@ def _labelme(fields: Fields) -> Records:
 
 
 def cvat_records(path: Path) -> Records:
-    """The vehicles of CVAT's XML for images, as `tool_records` gives them.
-
-    Raises:
-        InvalidInputError: The file cannot be read, or is another XML; names it.
-    """
+    """The vehicles of CVAT's XML for images, as `tool_records` gives them."""
     try:
         root = ET.parse(path).getroot()  # noqa: S314  # expat bounds what entities may expand to
     except (OSError, ET.ParseError) as error:

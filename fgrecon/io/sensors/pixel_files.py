@@ -129,9 +129,6 @@ def read_masks(file: Path, image: Path, size: tuple[int, int] | None = None) -> 
             COCO JSON: annotations or results, with polygons or run lengths.
         image: The image's file, or its name, by which COCO's are chosen.
         size: Width and height of the image, which COCO's results without a list of images do not state.
-
-    Raises:
-        InvalidInputError: The file cannot be used; names the field.
     """
     if file.suffix.lower() == ".json":
         return _of_coco(file, image, size)

@@ -48,9 +48,6 @@ def lidar_place(cloud: Path, image: Path, camera: CameraSource, pose: Path | Non
     Args:
         cloud: The scan's file.
         pose: A file with the motion from the LiDAR's frame to the camera's, as `read_pose` takes it; or None.
-
-    Raises:
-        InvalidInputError: A file is malformed.
     """
     if pose is not None:
         return read_pose(pose)

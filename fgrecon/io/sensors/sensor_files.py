@@ -54,11 +54,7 @@ class SensorFiles:
         return Path(self.given).is_file()
 
     def all(self) -> list[Path]:
-        """All of them.
-
-        Raises:
-            InvalidInputError: There is none.
-        """
+        """All of them."""
         return [Path(self.given)] if self.alone else list(self._files.values())
 
     def of(self, image: str) -> Path | None:

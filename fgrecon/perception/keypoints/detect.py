@@ -301,11 +301,7 @@ def shipped_cascade() -> KeypointCascade:
 
 
 def as_rgb8(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """An image as (H, W, 3) RGB bytes.
-
-    Raises:
-        InvalidInputError: It is no image.
-    """
+    """An image as (H, W, 3) RGB bytes."""
     given: object = image
     if isinstance(given, bytes | bytearray):
         fix = "Give its path, or its pixels: `fgrecon.read_image` and `cv2.imdecode` have them."
