@@ -226,21 +226,13 @@ def begin(
 
 
 def refuse_video(folder: Path) -> None:
-    """Keep results of a batch out of the folder of a video's run: readers would mix their tables.
-
-    Raises:
-        InvalidInputError: It is such a folder.
-    """
+    """Refuse the folder of a video's run for results of a batch: readers would mix their tables."""
     if (folder / RECORDS / RUN).exists():
         raise InvalidInputError("out", str(folder), "Give another folder: this one has a video's run.")
 
 
 def refuse_batch(folder: Path) -> None:
-    """Keep a video's run out of the folder of a batch; see `refuse_video`.
-
-    Raises:
-        InvalidInputError: It is such a folder.
-    """
+    """Refuse the folder of a batch for a video's run."""
     if (folder / RUN).exists():
         raise InvalidInputError("out", str(folder), "Give another folder: this one has a batch's results.")
 

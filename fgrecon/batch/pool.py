@@ -3,6 +3,10 @@
 Every worker is a pool of one process, so that a death is known to be of the piece that it was working on and of no
 other: the worker is made again, and the piece tried again, then each of its parts. A part during which a worker dies
 twice is given up.
+
+Actors of a Ray cluster, whose results are streamed back here, are driven one by one likewise, and not by a dataset of
+Ray Data: its restarts of actors that die cannot tell which row was to blame, and have been seen to stand still.
+(`Reconstructor` itself fits `map_batches`.)
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, ClassVar, Generic, TypeVar
 
-from fgrecon.core.errors import FgreconError
+from fgrecon.core.errors import FgreconError, MissingPackageError
 from fgrecon.core.processes import keep, one_thread_each, run_kept
 from fgrecon.io.arrow import without_pandas
 
@@ -217,3 +221,80 @@ def _follow_parent() -> None:
     assert parent is not None
     parent.join()
     os._exit(1)
+
+
+_REPORT_SECONDS = 60.0
+"""Within this time Ray reports that an actor is dead (not tuned)."""
+
+
+class _Called:
+    """What an actor is: something that calls a function, which it gets once."""
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        self._function = function
+
+    def ready(self) -> bool:
+        return True
+
+    def call(self, piece: Any, ready: bool) -> Any:  # noqa: ARG002 - Ray sends nothing before the actor has begun
+        return self._function(piece)
+
+
+class _Actor(Worker[Piece, Result]):
+    """An actor with a processor of its own."""
+
+    NOT_BEGUN = "Install fgrecon on every node of the cluster."
+
+    def __init__(self, function: Callable[[Piece], Result]) -> None:
+        self._function = function
+        self._actor: Any = None
+        self._ready: Any = None
+        self._begun: Future[bool]
+
+    def submit(self, piece: Piece) -> Future[Result]:
+        import ray
+
+        if self._actor is None:
+            self._actor = ray.remote(num_cpus=1, max_restarts=0)(_Called).remote(self._function)
+            self._ready = self._actor.ready.remote()
+            self._begun = self._ready.future()
+        future: Future[Result] = self._actor.call.remote(piece, self._ready).future()
+        return future
+
+    def has_begun(self) -> bool:
+        return self._begun.exception(_REPORT_SECONDS) is None
+
+    def end(self, *, whole: bool) -> None:  # noqa: ARG002 - an idle actor and a busy one are ended alike
+        import ray
+
+        if self._actor is not None:
+            ray.kill(self._actor)  # its processor is free again
+            self._actor = None
+
+
+def work_on_ray(
+    function: Callable[[Piece], Result],
+    pieces: Iterable[Piece],
+    jobs: int,
+    parts: Callable[[Piece], list[Piece]],
+    lost: Callable[[Piece, WorkerDiedError], Result],
+    address: str,
+) -> Iterator[Result]:
+    """`work` by actors of a Ray cluster, each with one processor; no more than the cluster has.
+
+    Args:
+        address: Of the cluster, or `auto`.
+
+    Raises:
+        MissingPackageError: Ray is not installed.
+        WorkerDiedError: Actors cannot even begin.
+    """
+    try:
+        import ray
+    except ImportError as error:
+        raise MissingPackageError("ray[data]>=2.40", "A run on Ray") from error
+    if not ray.is_initialized():
+        ray.init(address=address, log_to_driver=False)
+    processors = max(int(ray.cluster_resources().get("CPU", 1)), 1)
+    actors: list[Worker[Piece, Result]] = [_Actor(function) for _ in range(min(jobs, processors))]
+    yield from drive(actors, pieces, parts, lost, ray.exceptions.RayActorError)

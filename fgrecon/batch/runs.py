@@ -20,7 +20,7 @@ import pyarrow.compute as pc
 
 from fgrecon.batch.inputs import InputFile
 from fgrecon.batch.parts import Parts, RowOutcome, begin, claimed, made, refuse_video
-from fgrecon.batch.pool import work
+from fgrecon.batch.pool import work, work_on_ray
 from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.batch.rows import lost_rows, single_tasks, storable
 from fgrecon.batch.schema import Tasks, TaskSolver
@@ -145,9 +145,7 @@ def run(
         if ray is None:
             tables = work(TaskSolver(reconstructor), batches, jobs, single_tasks, lost_rows)
         else:
-            from fgrecon.batch.on_ray import work_on_ray
-
-            tables = work_on_ray(TaskSolver(reconstructor), batches, jobs, ray)
+            tables = work_on_ray(TaskSolver(reconstructor), batches, jobs, single_tasks, lost_rows, ray)
         try:
             for table in tables:
                 parts.add(table)

@@ -90,7 +90,6 @@ def read_tasks(
     """The vehicles of a file of keypoints, of any format, or of a track.
 
     Args:
-        category: Category of its keypoints.
         source: The given camera, which goes before the file's.
         names: What is known of the keypoints' names, or None.
         image: File name of the photograph, whose vehicles are taken; None for all.

@@ -57,8 +57,6 @@ def read_arrays(
 
     Args:
         content: The file's bytes, or where it is.
-        name: What it is called in an error.
-        fix: What to give instead.
         fields: Those that are wanted, as far as they are there; None for all.
 
     Raises:
@@ -101,10 +99,6 @@ def write_arrays(path: Path, *, compressed: bool = False, **arrays: NDArray[Any]
 
 def read_lone_array(content: bytes, name: str, fix: str) -> NDArray[Any]:
     """The array of an npy file, without pickled content.
-
-    Args:
-        name: What it is called in an error.
-        fix: What to give instead.
 
     Raises:
         InvalidInputError: It is none, is damaged, or has pickled content.

@@ -64,7 +64,6 @@ def still(message: Any, where: str) -> Pixels:
 
     Args:
         message: Of `Image` or `CompressedImage`.
-        where: What errors begin with.
     """
     if hasattr(message, "encoding"):
         return _raw(message, where)
@@ -121,7 +120,6 @@ def film(messages: Iterable[Any], codec: str, where: str) -> Iterator[BagPicture
     Args:
         messages: In order.
         codec: FFmpeg's name of it.
-        where: What problems begin with.
 
     Raises:
         MissingPackageError: PyAV is not installed.

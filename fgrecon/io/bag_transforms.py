@@ -64,7 +64,6 @@ class Transforms:
 
         Args:
             transforms: Of `TFMessage`.
-            where: What errors begin with.
             still: Whether they hold for all times.
         """
         for one in transforms:

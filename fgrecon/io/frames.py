@@ -136,29 +136,24 @@ def open_frames(
 def numbered_frames(
     path: Path,
     numbers: Iterable[int],
+    choice: Choice,
     *,
     times: Mapping[int, float] | None = None,
     rate: float | None = None,
-    every: int = 1,
-    start: float = 0.0,
-    end: float | None = None,
 ) -> NumberedFrames:
-    """Frames without images; the arguments are those of `open_frames`.
+    """Those of a choice of frames without images.
 
     Args:
         path: The file that tells their numbers.
         numbers: Of the frames.
+        choice: Which are taken.
         times: Seconds by number, where they are known.
         rate: Frames per second where they are not; None assumes 10.
-        every: Take every so many frames.
-        start: Seconds after the first frame before which none is taken.
-        end: Seconds after the first frame from which on none is taken.
 
     Raises:
-        InvalidInputError: A number is out of range, or no frame is left.
+        InvalidInputError: The rate is not positive, or no frame is left.
     """
     _check_rate(rate)
-    choice = Choice(every, start, end)
     ordered = sorted(numbers)
     seconds, assumed = times_of(ordered, None if times is None else [times[number] for number in ordered], rate)
     taken = _taken(seconds, choice)
@@ -191,16 +186,14 @@ def _files(source: str) -> list[Path]:
     return images
 
 
-def timed_frames(
-    paths: Sequence[Path], times: Sequence[float], *, every: int = 1, start: float = 0.0, end: float | None = None
-) -> ImageFrames:
-    """Images as frames, numbered by their places, whose times are known; the other arguments are `open_frames`'.
+def timed_frames(paths: Sequence[Path], times: Sequence[float], choice: Choice) -> ImageFrames:
+    """Those of a choice of images as frames, numbered by their places, whose times are known.
 
     Raises:
-        InvalidInputError: A number is out of range, or no frame is left.
+        InvalidInputError: No frame is left.
     """
     found = OrderedImages(tuple(paths), tuple(range(len(paths))), tuple(times), numbered=False)
-    return _chosen(found, None, Choice(every, start, end))
+    return _chosen(found, None, choice)
 
 
 def _chosen(found: OrderedImages, rate: float | None, choice: Choice) -> ImageFrames:

@@ -37,7 +37,6 @@ def refuse_unread(path: Path, field: str) -> None:
 
     Args:
         path: The file or folder.
-        field: What the error is about.
     """
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     for file in files:
@@ -70,7 +69,6 @@ def decode_photograph(
     """The content of an image file as `read_photograph` gives it.
 
     Args:
-        name: What it is called in an error.
         whole: As in `read_photograph`.
     """
     image = decode_image(content, name)

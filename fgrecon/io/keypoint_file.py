@@ -140,7 +140,6 @@ def parse_keypoints(data: Any, category: Category, where: str = "") -> KeypointF
     Args:
         data: What the JSON file holds; the error in the place of an instance that cannot be used.
         category: The category whose keypoints it holds.
-        where: Put in front of every field that an error names.
 
     Raises:
         InvalidInputError: These are results, or no instance can be used: a field is missing or of the wrong kind.
@@ -328,12 +327,7 @@ def refuse_other_file(path: Path) -> None:
 
 
 def refuse_results(data: Any, where: str) -> None:
-    """Refuse what fgrecon has written, which has results in the place of keypoints.
-
-    Args:
-        data: The content of a JSON file.
-        where: Put in front of the field that the error names.
-    """
+    """Refuse what fgrecon has written, which has results in the place of keypoints."""
     kind = data.get("format") if isinstance(data, Mapping) else None
     if isinstance(kind, str) and kind.startswith("fgrecon."):
         fix = "These are results: give the keypoints. `fgrecon export` makes files for other programs of results."

@@ -199,7 +199,6 @@ def scale_between(stated: Size | None, actual: Size | None, field: str, *, scale
     Args:
         stated: The size that the file of keypoints or boxes states, or None.
         actual: The size of the picture, or of the camera's images; None where it is not known.
-        field: What an error names.
         scale: Whether pixels may be scaled, where both have one shape.
 
     Raises:

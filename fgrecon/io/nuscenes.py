@@ -106,7 +106,6 @@ def cuboid_boxes(tables: NuScenesTables, image: str) -> Iterator[CuboidBox]:
 
     Args:
         tables: The tables; of `sample_annotation`, `instance` and `category` as well.
-        image: Name of the image.
     """
     record = tables.image(image)
     sensor = tables.named(record, "calibrated_sensor_token", "calibrated_sensor")
@@ -134,7 +133,6 @@ def camera_T_lidar(tables: NuScenesTables, image: str, sweep: str) -> Array:
     """(4, 4) from a LiDAR's frame at its sweep to a camera's at its image; the vehicle moves between the two.
 
     Args:
-        image: Name of the image.
         sweep: Name of the sweep's file.
 
     Raises:

@@ -110,8 +110,6 @@ def read_pose(path: Path, field: str = "lidar_pose", motion: str = "from the LiD
     """(4, 4) the one motion of a file: 12 numbers [R | t], or JSON with a matrix, by itself or in a list.
 
     Args:
-        path: The file.
-        field: What an error names.
         motion: What it says has to be given.
 
     Raises:

@@ -67,11 +67,7 @@ class Choice:
     end: float | None = None  # seconds after the first frame from which on none is taken, or None
 
     def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            InvalidInputError: One is out of range.
-        """
+        """Check the numbers."""
         if self.every < 1:
             raise InvalidInputError("every", self.every, "Give at least 1.")
         if not 0.0 <= self.start < np.inf:

@@ -75,10 +75,8 @@ def parse_track(data: Any, name: str, category: Category, where: str = "") -> Tr
     """Check the content of a file and turn it into a track.
 
     Args:
-        data: What the JSON file holds.
         name: Name of the track.
         category: The category whose keypoints the file must hold.
-        where: Put in front of every field that an error names.
 
     Raises:
         InvalidInputError: A field is missing or unusable.

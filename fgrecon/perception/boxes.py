@@ -35,11 +35,7 @@ class GivenBoxes:
     least_score: float | None = None  # boxes of a lower score are left out; None for what suits their source
 
     def __post_init__(self) -> None:
-        """Refuse several sources.
-
-        Raises:
-            InvalidInputError: More than one is given.
-        """
+        """Refuse several sources."""
         ways = {
             "given (--box)": bool(self.given),
             "file (--boxes)": self.file is not None,

@@ -47,11 +47,7 @@ class SensorSource:
     right_pose: Path | None = None  # file with the motion from the left camera's frame to the right one's
 
     def __post_init__(self) -> None:
-        """Refuse a pose of nothing, and what has no files.
-
-        Raises:
-            InvalidInputError: There is a pose but no LiDAR, or there are no files.
-        """
+        """Refuse a pose of nothing, and what has no files."""
         if self.lidar is None and any(self.lidar_sigma):
             raise InvalidInputError("lidar_sigma", self.lidar_sigma, "Give the LiDAR's points as well (--lidar).")
         if self.lidar is None and self.lidar_pose is not None:

@@ -25,12 +25,11 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.video.follow import Follower, TrackedFrame, VehicleTracker
     from fgrecon.video.frame_detector import FrameDetector
     from fgrecon.video.given import Given, read_given
-    from fgrecon.video.image_tracker import ImageTracker
+    from fgrecon.video.image_tracker import ImageTracker, SingleImageTracker
     from fgrecon.video.newest import Newest
     from fgrecon.video.records import FrameRecord, Sighting
     from fgrecon.video.rows import frame_lines, rows_of, tracking_text
     from fgrecon.video.run import VideoRun, run_video
-    from fgrecon.video.single_image_tracker import SingleImageTracker
 
 __all__ = [
     "Association",

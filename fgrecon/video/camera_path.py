@@ -132,19 +132,14 @@ def _scaled(motion: Array, share: float) -> Array:
 
 
 class MotionEstimator:
-    """Estimates the camera's motion by points off the vehicles, frame by frame (`camera_motion`).
-
-    Attributes:
-        camera: The camera.
-        ground: The ground in its frame, which tells how far it goes.
-    """
+    """Estimates the camera's motion by points off the vehicles, frame by frame (`camera_motion`)."""
 
     def __init__(self, camera: Camera, ground: Ground) -> None:
         """Begin without an image.
 
         Args:
             camera: The camera.
-            ground: The ground in its frame.
+            ground: The ground in its frame, which tells how far it goes.
         """
         self.camera, self.ground = camera, ground
         self._before: tuple[NDArray[np.uint8], list[NDArray[np.float64]]] | None = None

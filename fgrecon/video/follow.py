@@ -100,15 +100,7 @@ class TrackedFrame:
 
 
 class Follower:
-    """Follows the vehicles of one video: called with the records of its frames, in order.
-
-    Attributes:
-        tracker: Estimates the vehicles.
-        association: Gives ids to those that come without.
-        camera: The camera.
-        ground: The ground in its frame, or None.
-        path: Where the camera is.
-    """
+    """Follows the vehicles of one video: called with the records of its frames, in order."""
 
     def __init__(
         self,

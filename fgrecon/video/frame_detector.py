@@ -20,12 +20,7 @@ from fgrecon.video.records import FrameRecord, Sighting
 
 
 class FrameDetector:
-    """Looks at one frame after the other.
-
-    Attributes:
-        category: Category of the keypoints.
-        given: Vehicles by the number of their frame, or None.
-    """
+    """Looks at one frame after the other."""
 
     def __init__(
         self,

@@ -1,22 +1,24 @@
-"""Tracker of images: one image after the other in, estimates of the tracked vehicles out.
+"""Trackers of images: one image after the other in, estimates of vehicles out; and a baseline, every image on its own.
 
 image ---- FrameDetector: boxes, keypoints ---- Follower: ids, by association ---- fgrecon.Tracker ---- estimates by id
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_time
 from fgrecon.core.choices import ClassSource
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.evidence import Evidence
+from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.settings import one_of
 from fgrecon.core.shape_prior import ShapePrior
@@ -31,6 +33,7 @@ from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, chec
 from fgrecon.perception.stereo import with_depths
 from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.inputs import as_camera_pose, as_ground, calibrated
+from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import Association, GatedAssociation
 from fgrecon.video.camera_path import CameraPath
@@ -137,3 +140,69 @@ class ImageTracker:
         self._follower.camera, self._follower.ground = seen_by, plane
         self.frame = self._follower(record)
         return dict(self.frame.estimates)
+
+
+class SingleImageTracker:
+    """A tracker (`fgrecon.video.VehicleTracker`) that reconstructs every image on its own.
+
+    Attributes:
+        refused: Why vehicles of the last frame have no estimate, by id.
+    """
+
+    refused: Mapping[int, FgreconError]
+
+    def __init__(self, **arguments: Any) -> None:
+        """Take settings of `fgrecon.reconstruct`: prior, size_prior, options."""
+        self._arguments = arguments
+        self._tracks: dict[int, list[VehicleEstimate]] = {}
+        self.refused = {}
+
+    def update(
+        self,
+        time: float,
+        observations: Mapping[int, Observation],
+        *,
+        camera: Camera,
+        world_T_camera: Array | None = None,
+        ground: Ground | None = None,
+        motion_covariance: Array | None = None,  # noqa: ARG002 - one image knows of no motion
+        evidence: Sequence[Evidence] = (),
+        estimated: bool = True,  # noqa: ARG002 - nor of frames to come
+    ) -> Mapping[int, VehicleEstimate]:
+        """The estimates of the vehicles that can be reconstructed, by id."""
+        estimates: dict[int, VehicleEstimate] = {}
+        refused: dict[int, FgreconError] = {}
+        for identity, observation in observations.items():
+            try:
+                result = reconstruct(observation, camera, ground=ground, evidence=evidence, **self._arguments)
+            except FgreconError as error:
+                refused[identity] = error
+                continue
+            pose = result.camera_T_object
+            estimates[identity] = VehicleEstimate(
+                id=identity,
+                time=time,
+                reconstruction=result,
+                velocity=None,
+                turn_rate=None,
+                facing_probability=result.facing_probability,
+                world_T_object=None if world_T_camera is None else world_T_camera @ pose,
+            )
+            self._tracks.setdefault(identity, []).append(estimates[identity])
+        self.refused = refused
+        return estimates
+
+    def placed(self, vehicle: int) -> tuple[Array, Array] | None:
+        """Pose (4, 4) of a vehicle in its last image, and its keypoints (K, 3) in its own; None of one without."""
+        if vehicle not in self._tracks:
+            return None
+        last = self._tracks[vehicle][-1].reconstruction
+        return last.camera_T_object, last.wireframe
+
+    def forget(self, vehicle: int) -> None:
+        """Let go of a vehicle's estimates; one that is not there is none to let go of."""
+        self._tracks.pop(vehicle, None)
+
+    def smooth(self) -> Mapping[int, Sequence[VehicleEstimate]]:
+        """The same estimates once more."""
+        return self._tracks

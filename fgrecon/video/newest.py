@@ -169,11 +169,7 @@ class LiveFrames:
     """
 
     def __init__(self, max_delay: float) -> None:
-        """Begin without frames.
-
-        Raises:
-            InvalidInputError: The delay is not positive.
-        """
+        """Begin without frames."""
         self.max_delay = as_max_delay(max_delay)
         self.delays: Collection[float] = ()
 

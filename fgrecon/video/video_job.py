@@ -58,11 +58,11 @@ from fgrecon.video.focal import estimate_camera
 from fgrecon.video.follow import Follower
 from fgrecon.video.frame_detector import FrameDetector
 from fgrecon.video.given import Given, in_words, read_given
+from fgrecon.video.image_tracker import SingleImageTracker
 from fgrecon.video.newest import LiveFrames, as_max_delay
 from fgrecon.video.records import FrameRecord
 from fgrecon.video.rows import flattened, frame_lines, rows_of, tracking_text
 from fgrecon.video.run import VideoRun, run_video
-from fgrecon.video.single_image_tracker import SingleImageTracker
 from fgrecon.video.stages import rare_collections
 
 Warn = Callable[[str], None]
@@ -100,6 +100,11 @@ class VideoRequest:
     video: Path | None = None  # annotated video that is to be written afterwards, or None
     picture_frame: int | None = None  # frame that is to be drawn afterwards, or None
     sensors: SensorSource | LidarTopic | None = None  # other sensors' files; of a bag its LiDAR; or None
+
+    @property
+    def choice(self) -> Choice:
+        """Which frames are taken."""
+        return Choice(self.every, self.start, self.end)
 
 
 @dataclass(frozen=True)
@@ -203,8 +208,7 @@ def _open_drive(request: VideoRequest) -> Drive | BagDrive | None:
     """The data set or bag that the source is; None of others."""
     lidar = request.sensors if isinstance(request.sensors, LidarTopic) else None
     if is_bag(request.source):
-        choice = Choice(request.every, request.start, request.end)
-        return open_bag_drive(request.source, choice=choice, lidar=lidar)
+        return open_bag_drive(request.source, choice=request.choice, lidar=lidar)
     if lidar is not None:
         raise InvalidInputError("lidar", lidar.topic, "Give files, or a bag that has such a topic.")
     return open_video(request.source) if is_data_set(request.source) else None
@@ -250,8 +254,6 @@ def _is_moving(request: VideoRequest, source: FrameSource, poses: CameraPoses | 
 def _open_source(request: VideoRequest, drive: Drive | BagDrive | None) -> tuple[FrameSource, Given | None]:
     """The frames, and the vehicles that others have detected, beside the images or in their place."""
     path, category = Path(request.source), request.settings.prior.category
-    part: dict[str, Any] = {"every": request.every, "start": request.start, "end": request.end}
-    choice = {"rate": request.fps} | part
     how: dict[str, Any] = {"forget_ids": request.forget_ids, "all_classes": request.settings.classes is not None}
     if path.suffix.lower() == ".json":
         if request.tracks is not None:
@@ -259,7 +261,7 @@ def _open_source(request: VideoRequest, drive: Drive | BagDrive | None) -> tuple
         given = read_given(path, category, **how)
         if request.video is not None:
             raise InvalidInputError("video", request.source, "Give images: keypoints alone have none.")
-        return numbered_frames(path, given.vehicles, times=given.times, **choice), given
+        return numbered_frames(path, given.vehicles, request.choice, times=given.times, rate=request.fps), given
     if request.forget_ids and request.tracks is None:
         raise InvalidInputError("forget_ids", value=True, fix="Give `tracks` (--tracks) as well, or leave it out.")
     if drive is not None and request.fps is not None:
@@ -268,9 +270,10 @@ def _open_source(request: VideoRequest, drive: Drive | BagDrive | None) -> tuple
     if isinstance(drive, BagDrive):
         source = drive.frames
     elif drive is not None:
-        source = timed_frames([f.image for f in drive.frames], [f.seconds for f in drive.frames], **part)
+        source = timed_frames([f.image for f in drive.frames], [f.seconds for f in drive.frames], request.choice)
     else:
-        source = open_frames(request.source, **choice)
+        part: dict[str, Any] = {"every": request.every, "start": request.start, "end": request.end}
+        source = open_frames(request.source, rate=request.fps, **part)
     if request.tracks is None:
         return source, None
     return source, read_given(request.tracks, category, source=source, **how)

@@ -10,6 +10,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.io.frames import numbered_frames, open_frames
 from fgrecon.io.images import write_png
+from fgrecon.io.source_frames import Choice
 from fgrecon.io.video_frames import check_video, write_video
 
 
@@ -200,13 +201,13 @@ def test_names_that_tell_nothing_are_in_order(tmp_path):
 
 
 def test_frames_without_images(tmp_path):
-    source = numbered_frames(tmp_path / "keypoints.json", {7: "a", 3: "b", 4: "c"}, rate=10)
+    source = numbered_frames(tmp_path / "keypoints.json", {7: "a", 3: "b", 4: "c"}, Choice(), rate=10)
     assert [(f.number, f.time, f.image, f.problem) for f in source.read(after=3)] == [
         (4, 0.4, None, None),
         (7, 0.7, None, None),
     ]
-    assert numbered_frames(source.path, [3, 4, 7], end=0.2).numbers == (3, 4)
-    timed = numbered_frames(source.path, [1, 0], times={0: 5.0, 1: 5.1})
+    assert numbered_frames(source.path, [3, 4, 7], Choice(end=0.2)).numbers == (3, 4)
+    timed = numbered_frames(source.path, [1, 0], Choice(), times={0: 5.0, 1: 5.1})
     assert (timed.numbers, timed.times, timed.assumed_rate) == ((0, 1), (5.0, 5.1), False)
 
 

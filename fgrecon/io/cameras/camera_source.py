@@ -126,11 +126,7 @@ class CameraSource:
     scale_to_image: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse intrinsics beside a KITTI calibration.
-
-        Raises:
-            InvalidInputError: Both are given.
-        """
+        """Refuse intrinsics beside a KITTI calibration."""
         if self.calib is not None and self.intrinsics is not None:
             text = ",".join(f"{number:g}" for number in self.intrinsics)
             raise InvalidInputError(

@@ -106,9 +106,7 @@ def waymo_camera(data: Any, name: str | None, where: str) -> MountedCamera:
     """A camera of Waymo's calibration as JSON: `intrinsic` is f_u, f_v, c_u, c_v, k_1, k_2, p_1, p_2, k_3.
 
     Args:
-        data: The content of the file.
         name: Which camera, such as FRONT; None for the only one.
-        where: What errors begin with.
     """
     found: dict[str, Fields] = {}
     for number, entry in enumerate(_waymo_entries(data)):

@@ -44,10 +44,8 @@ def slam_camera(data: Mapping[str, Any], name: str | None, where: str) -> Camera
     """The camera of one of these files.
 
     Args:
-        data: The content of the file.
         name: Which camera, such as `cam1` of Kalibr or `Camera2` of ORB-SLAM; None for the only one, or the first of
             ORB-SLAM.
-        where: What errors begin with.
 
     Raises:
         InvalidInputError: There is no such camera, its lens is none that is solved, or a field is malformed; names it.

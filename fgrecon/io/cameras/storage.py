@@ -61,8 +61,6 @@ def storage_camera(data: Mapping[str, Any], where: str, name: str | None = None)
     """The camera of a calibration in ROS's or OpenCV's names.
 
     Args:
-        data: The content of the file.
-        where: What errors begin with.
         name: `projection_matrix` for the camera of ROS's rectified image; None for that of the image as it was taken.
 
     Raises:

@@ -150,10 +150,8 @@ def nerfstudio_camera(data: Mapping[str, Any], image: str | None, name: str | No
     """The camera of nerfstudio's file, and its pose where an image is named.
 
     Args:
-        data: The content of the file.
         image: File name of the photograph, or None.
         name: Name of an image after the file, or None.
-        where: What errors begin with.
 
     Raises:
         InvalidInputError: The lens is none that is solved, images have cameras of their own and none is named, or a

@@ -39,7 +39,6 @@ def glb_bytes(results: Sequence[NamedResult], models: Mapping[str, VehicleMesh] 
     """One GLB with the nodes `<id>/surface` and `<id>/wireframe` of every vehicle; ids that several have are numbered.
 
     Args:
-        results: The vehicles.
         models: A mesh that stands in for a vehicle, by its name: the node `<id>/model`; or None.
 
     Raises:

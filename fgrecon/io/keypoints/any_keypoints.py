@@ -37,7 +37,6 @@ def read_any_keypoints(
     """Read a file of keypoints: fgrecon's own JSON, that of COCO, networks or annotation tools, or one that is no JSON.
 
     Args:
-        category: The category whose keypoints are wanted.
         names: What is known of the file's names, where neither the file nor a shipped scheme says it; see `NamesLike`.
         image: Name of a photograph: of a file of several, only its vehicles are wanted.
     """
@@ -54,11 +53,8 @@ def parse_any_keypoints(
     """Check the content of a JSON file of any of the formats and turn it into instances; see `read_any_keypoints`.
 
     Args:
-        data: What the file holds.
-        category: The category whose keypoints are wanted.
         names: What is known of its names.
         image: Name of the photograph whose vehicles are wanted.
-        where: Put in front of every field that an error names.
     """
     known = None if names is None else parse_names(names, category)
     if is_annotations(data):

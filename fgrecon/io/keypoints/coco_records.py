@@ -51,7 +51,6 @@ def annotation_records(data: Mapping[str, Any], where: str) -> Iterator[tuple[Re
 
     Args:
         data: The file's content.
-        where: What errors begin with.
 
     Raises:
         InvalidInputError: A field of categories or images is missing or malformed; names it.
@@ -107,9 +106,7 @@ def result_records(
 
     Args:
         data: The list.
-        category: The category whose keypoints are wanted.
         names: What the user says of the points, which have no names here.
-        where: What errors begin with.
     """
     for number, item in enumerate(data):
         place = f"{where}[{number}]."

@@ -74,8 +74,6 @@ def parse_names(given: NamesLike, category: Category, field: str = "names") -> N
 
     Args:
         given: A scheme, pairs, a file, a mapping or a list; see `NamesLike`.
-        category: The category whose keypoints are wanted.
-        field: What an error calls it.
 
     Raises:
         InvalidInputError: Neither of these, or a keypoint that the category does not have.
@@ -126,7 +124,6 @@ def order_of(count: int, category: Category, names: Names | None, field: str) ->
 
     Args:
         count: How many points there are.
-        category: The category whose keypoints are wanted.
         names: What the user says.
         field: What an error calls the points.
 
@@ -227,7 +224,6 @@ def translated(
     Args:
         record: The instance; its points by name, or in an order that is the user's, the category's or a scheme's.
         names: What the user says of the names, or None.
-        where: Put in front of every field that an error names.
 
     Returns:
         The instance, and the names of points that are no keypoint of the category.

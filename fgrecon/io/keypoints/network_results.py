@@ -75,9 +75,7 @@ def object_records(given: Any, category: Category, names: Names | None, where: s
 
     Args:
         given: What a network returned for one image, as above.
-        category: The category whose keypoints are wanted.
         names: What the user says of the points, which have no names here.
-        where: What errors begin with.
 
     Raises:
         InvalidInputError: The object is none of these, or has an array of a wrong shape; names it.
@@ -241,9 +239,7 @@ def network_records(
 
     Args:
         data: Those of `network_instances`.
-        category: The category whose keypoints are wanted.
         names: What the user says of points without names.
-        where: What errors begin with.
     """
     for number, item in enumerate(data):
         place = f"{where}[{number}]."

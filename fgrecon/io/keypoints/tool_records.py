@@ -245,12 +245,7 @@ def _is_task(item: Any) -> bool:
 
 
 def tool_records(data: Any, where: str) -> Records:
-    """The vehicles of `is_tool_file`'s content in the layout of a keypoint file; one that is malformed is its error.
-
-    Args:
-        data: The content of the file.
-        where: What errors begin with.
-    """
+    """The vehicles of `is_tool_file`'s content in the layout of a keypoint file; one that is malformed is its error."""
     if isinstance(data, Mapping):
         return (label_reader(data) or _labelme)(Fields(data, where))
     return _label_studio(data, where)
