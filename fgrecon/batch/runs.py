@@ -195,9 +195,6 @@ def check_unedited(folder: Path, sources: Sequence[InputFile], done: Collection[
     Args:
         folder: Of the run.
         done: Ids of the rows that are done.
-
-    Raises:
-        InvalidInputError: A file was edited or replaced; names it.
     """
     path = folder / INPUTS
     known = stored(path, _known) or {}

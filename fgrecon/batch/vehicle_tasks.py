@@ -164,11 +164,7 @@ def with_classes(tasks: list[VehicleTask], classes: ClassSource | None) -> list[
 
 
 def check_of_file(classes: ClassSource | None) -> None:
-    """Refuse classes by networks that do not look, since keypoints are given.
-
-    Raises:
-        InvalidInputError: They are to say it.
-    """
+    """Refuse classes by networks that do not look, since keypoints are given."""
     if classes not in (None, ClassSource.LABELS):
         raise InvalidInputError("classes", classes.value, "Give images: of keypoints `labels` takes their `kind`.")
 

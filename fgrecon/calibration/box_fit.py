@@ -30,11 +30,7 @@ class DetectedOutline:
 
 
 def check_whole_cars(drives: Sequence[Drive]) -> None:
-    """Refuse drives that cannot do before anything is detected.
-
-    Raises:
-        InvalidInputError: Too few of their labelled cars are visible as a whole.
-    """
+    """Refuse drives that cannot do before anything is detected."""
     count = 0
     for frame in (frame for drive in drives for frame in drive.frames):
         cars = frame.objects.take(wanted(frame))

@@ -51,20 +51,12 @@ class FittedDetector:
 
 
 def check_labels(drives: Sequence[Drive]) -> None:
-    """Refuse drives that cannot do before anything is looked at.
-
-    Raises:
-        InvalidInputError: They have too few labelled vehicles.
-    """
+    """Refuse drives that cannot do before anything is looked at."""
     _check_count(sum(len(wanted(frame)) for drive in drives for frame in drive.frames), "labelled vehicles")
 
 
 def check_solved(boxes: Sequence[VideoBox]) -> None:
-    """Refuse what cannot do as soon as it was reconstructed with one factor.
-
-    Raises:
-        InvalidInputError: Too few vehicles were reconstructed.
-    """
+    """Refuse what cannot do as soon as it was reconstructed with one factor."""
     _check_count(_solved(boxes), "vehicles")
 
 

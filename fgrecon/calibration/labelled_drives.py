@@ -143,11 +143,7 @@ def score_drives(
 
 
 def check_names(drives: Sequence[str]) -> None:
-    """Refuse drives of which two have the same name.
-
-    Raises:
-        InvalidInputError: Two have.
-    """
+    """Refuse drives of which two have the same name."""
     twice = [name for number, name in enumerate(drives) if name in drives[:number]]
     if twice:
         raise InvalidInputError("drives", twice[0], "Give each drive once; their folders need different names.")

@@ -92,11 +92,7 @@ def check_ending(path: str | Path, endings: Collection[str]) -> str:
 
 
 def check_output(path: Path | None) -> None:
-    """Refuse an output that cannot be written before the work instead of after it; None is none.
-
-    Raises:
-        InvalidInputError: It is a folder, its folder does not exist or cannot be written to, or it is a link to itself.
-    """
+    """Refuse an output that cannot be written before the work instead of after it; None is none."""
     if path is None or _is_special(path):
         return
     folder = behind_links(path).parent
@@ -107,11 +103,7 @@ def check_output(path: Path | None) -> None:
 
 
 def check_folder(path: Path) -> None:
-    """Refuse a folder of results that cannot be made, before the work.
-
-    Raises:
-        InvalidInputError: It is a file, would be in one or where nothing can be written, or is a link to itself.
-    """
+    """Refuse a folder of results that cannot be made, before the work."""
     there = next(part for part in (path, *behind_links(path).parents) if part.exists())
     if not there.is_dir():
         raise InvalidInputError("out", str(path), f"Give another folder: {there} is a file.")
@@ -225,11 +217,7 @@ LIST = "SHA256SUMS"
 
 
 def check_hash(path: Path, content: bytes) -> None:
-    """Refuse content that is not what the list in the file's folder says; nothing where no list names the file.
-
-    Raises:
-        InvalidInputError: The content is another.
-    """
+    """Refuse content that is not what the list in the file's folder says; nothing where no list names the file."""
     wanted = listed(path.parent).get(path.name)
     if wanted is not None and hashlib.sha256(content).hexdigest() != wanted:
         fix = f"It is not what {LIST} says: install fgrecon again, or take the file's line out of that list."

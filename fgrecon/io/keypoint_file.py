@@ -307,11 +307,7 @@ _ROWS = (".jsonl", ".ndjson", ".parquet")
 
 
 def refuse_other_file(path: Path) -> None:
-    """Refuse a file whose name says that it holds no keypoints that are read whole.
-
-    Raises:
-        InvalidInputError: It is a video, an image, or a table; names the command.
-    """
+    """Refuse a file whose name says that it holds no keypoints that are read whole."""
     refuse_unread(path, "file")
     ending = path.suffix.lower()
     if ending in VIDEOS:

@@ -157,9 +157,6 @@ def check_unused(fields: Fields, used: Iterable[str] = ()) -> None:
     Args:
         fields: The calibration.
         used: Names of fields that are read, or known to be of no matter.
-
-    Raises:
-        InvalidInputError: There is such a field; names it.
     """
     known = DISTORTION | WIDTHS | HEIGHTS | SIZES | MODELS | FISHEYES
     passed = {_bare(name) for name in used} | known

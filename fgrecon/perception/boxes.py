@@ -47,21 +47,13 @@ class GivenBoxes:
             raise InvalidInputError("box", flags, fix)
 
     def check_images(self, count: int) -> None:
-        """Refuse a file that says of no box which image it is in, where there are several images.
-
-        Raises:
-            InvalidInputError: It does not, or cannot be read.
-        """
+        """Refuse a file that says of no box which image it is in, where there are several images."""
         if self.file is not None and count > 1 and not names_images(self.file):
             fix = "Give a folder with a file for each, or boxes that name their image (COCO, CSV, lines of detections)."
             raise InvalidInputError("boxes", f"{self.file}, of one image, for {count} images", fix)
 
     def check_classes(self, classes: ClassSource | None) -> None:
-        """Refuse classes by who labelled the vehicles where nobody did.
-
-        Raises:
-            InvalidInputError: There is no file that could say it.
-        """
+        """Refuse classes by who labelled the vehicles where nobody did."""
         if classes is ClassSource.LABELS and self.file is None:
             fix = "Give a file of boxes that have a class (--boxes); what the detector says is `detected`."
             raise InvalidInputError("classes", classes.value, fix)

@@ -89,11 +89,7 @@ def _vehicles(boxes: Sequence[NamedBox]) -> Vehicles:
 
 
 def check_category(detector: object, category: Category) -> None:
-    """Refuse a detector of one category beside a shape prior of another.
-
-    Raises:
-        InvalidInputError: They differ, or the detector is none.
-    """
+    """Refuse a detector of one category beside a shape prior of another."""
     if not isinstance(detector, KeypointDetector):
         fix = "Give what can be called with an image and boxes, and has `category`, the name of its category."
         raise InvalidInputError("keypoint_detector", detector, fix)

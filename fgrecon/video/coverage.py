@@ -39,9 +39,6 @@ def check_coverage(frames: Moments, poses: CameraPoses | None, vehicles: Collect
         frames: The frames that are taken.
         poses: The camera's poses, or None.
         vehicles: Numbers of the frames that vehicles are given for, or None.
-
-    Raises:
-        InvalidInputError: No frame has a pose, or no vehicle is in one; names both spans.
     """
     if not frames:
         return

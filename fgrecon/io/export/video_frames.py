@@ -35,9 +35,6 @@ def check_video_format(path: Path, kind: str | None = None) -> None:
     Args:
         path: The file to write.
         kind: One of `KINDS`, or None for what the ending says.
-
-    Raises:
-        InvalidInputError: The kind is no file's, or one of these; says which tables the run has written.
     """
     if (found := check_format(path, kind)) in _NOT_OF_VIDEOS | _OF_SIZE:
         fix = (

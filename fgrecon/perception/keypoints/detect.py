@@ -327,11 +327,7 @@ def large_enough(boxes: Array) -> NDArray[np.bool_]:
 
 
 def check_box(box: Array, image: NDArray[np.uint8], field: str = "box") -> None:
-    """Refuse a box in which no keypoints can be found.
-
-    Raises:
-        InvalidInputError: It has no size, is smaller than 8 pixels, or lies outside the image.
-    """
+    """Refuse a box in which no keypoints can be found."""
     height, width = image.shape[:2]
     check_corners(field, box)
     size = box[2:] - box[:2]

@@ -140,9 +140,6 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[
     Args:
         arrays: By name.
         shapes: Of the network's arrays.
-
-    Raises:
-        InvalidInputError: Some are missing, too many, of another size, or not finite.
     """
     missing = next((name for name in shapes if name not in arrays), None)
     if missing is not None:

@@ -72,11 +72,7 @@ class _Eager:
 
 
 def check_device(device: str) -> None:
-    """Refuse a device that PyTorch has not.
-
-    Raises:
-        InvalidInputError: It has not, or the name is none.
-    """
+    """Refuse a device that PyTorch has not."""
     try:
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:  # how torch says so depends on how it was built
