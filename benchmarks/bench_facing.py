@@ -30,8 +30,7 @@ from fgrecon.core.size_prior import size_prior
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.files import write_text
-from fgrecon.io.kitti_drives import IMAGES_PER_SECOND
-from fgrecon.io.kitti_files import read_tracking
+from fgrecon.io.kitti_files import IMAGES_PER_SECOND, read_tracking
 from fgrecon.io.track_file import GroundTruth
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 from fgrecon.solve.tracker import Tracker

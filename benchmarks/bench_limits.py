@@ -27,8 +27,7 @@ from fgrecon.core.size_prior import size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.files import write_text
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import DriveFrame, read_drive
-from fgrecon.io.kitti_files import Objects
+from fgrecon.io.kitti_files import DriveFrame, Objects, read_drive
 from fgrecon.io.track_file import GroundTruth
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.vehicles import NanodetVehicleDetector

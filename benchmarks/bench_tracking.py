@@ -21,8 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from fgrecon.io.files import write_text
-from fgrecon.io.kitti_drives import Drive, read_drive
-from fgrecon.io.kitti_files import TrackedObjects, format_tracking, read_tracking
+from fgrecon.io.kitti_files import Drive, TrackedObjects, format_tracking, read_drive, read_tracking
 
 _IGNORED = "DontCare"
 _NUMBERS = {"HOTA": "HOTA", "DetA": "HOTA", "AssA": "HOTA", "MOTA": "CLEAR", "IDSW": "CLEAR", "IDF1": "Identity"}

@@ -21,8 +21,7 @@ import numpy as np
 
 from fgrecon.calibration.labelled_boxes import box_overlap, match_detections
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import DriveFrame, read_images
-from fgrecon.io.kitti_files import Objects
+from fgrecon.io.kitti_files import DriveFrame, Objects, read_images
 from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
 from fgrecon_research.training.keypoints.posed_cars import read_posed_cars

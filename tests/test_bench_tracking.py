@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.bench_tracking import followed, labels, prepare, table
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.kitti_drives import read_drive
+from fgrecon.io.kitti_files import read_drive
 from research.tests.evaluation.test_video_images import folder  # noqa: F401  # a fixture
 
 RESULT = "0 {id} Car -1 -1 0.1 300.0 120.0 440.0 270.0 1.5 1.6 4.0 1.0 1.6 15.0 0.2 0.9\n"

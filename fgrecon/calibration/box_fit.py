@@ -15,7 +15,7 @@ from fgrecon.core.detector_calibration import BoxSource
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, yaw_rotation
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.io.kitti_files import Drive, DriveFrame
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 
 _MAD = 1.4826  # from the median absolute deviation to a normal standard deviation

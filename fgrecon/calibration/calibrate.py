@@ -19,7 +19,7 @@ from fgrecon.calibration.labelled_drives import Advance, DriveRequest, ScoredDri
 from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.datasets import open_drive
-from fgrecon.io.kitti_drives import Drive
+from fgrecon.io.kitti_files import Drive
 
 _EDGES = "Where the boxes' edges are"
 _NUMBERS = "How far the network's errors go together, and its facings,"

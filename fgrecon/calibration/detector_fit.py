@@ -22,7 +22,7 @@ from fgrecon.core.detection import calibrated_facing
 from fgrecon.core.detector_calibration import DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import KeypointOptions
-from fgrecon.io.kitti_drives import Drive
+from fgrecon.io.kitti_files import Drive
 
 FACTORS = SETTINGS.common_factors
 """The common factors that vehicles are reconstructed with; what is fitted lies between them."""

@@ -21,7 +21,7 @@ from fgrecon.core.options import KeypointOptions, Options
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.text import counted
 from fgrecon.io.datasets import open_drive
-from fgrecon.io.kitti_drives import Drive
+from fgrecon.io.kitti_files import Drive
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.vehicles import NanodetVehicleDetector
 

@@ -28,8 +28,7 @@ from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.export.dataset_results import kitti_text
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import Drive, DriveFrame
-from fgrecon.io.kitti_files import Objects
+from fgrecon.io.kitti_files import Drive, DriveFrame, Objects
 from fgrecon.io.track_file import GroundTruth, TrackFrame
 from fgrecon.perception.boxes import classes_at, large_vehicles
 from fgrecon.perception.from_image import FromImage

@@ -40,7 +40,7 @@ def demo_command(
     from fgrecon.io.catalogue import load_prior
     from fgrecon.io.files import write_text
     from fgrecon.io.images import write_png
-    from fgrecon.simulation.demo import demo_scene
+    from fgrecon.simulation.sample import demo_scene
     from fgrecon.solve.pipeline import reconstruct
     from fgrecon.viz import SolvedVehicle, animate, picture, recording_of, save_picture
     from fgrecon.viz.animation import check_format

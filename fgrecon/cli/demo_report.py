@@ -17,9 +17,8 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.export.results import DEMO_FORMAT
-from fgrecon.simulation.demo import DemoScene
 from fgrecon.simulation.keypoint_noise import OUTLIER
-from fgrecon.simulation.sample import GROUND, SampleStreet, sample_street
+from fgrecon.simulation.sample import GROUND, DemoScene, SampleStreet, sample_street
 from fgrecon.simulation.vehicles import SimulatedTruth
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.viz import DrawnVehicle, Truth, scene_picture

@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.core.camera import Ground
     from fgrecon.core.options import Options
     from fgrecon.io.cameras.camera_source import CameraSource, PartOfImage
-    from fgrecon.io.kitti_drives import Drive
+    from fgrecon.io.kitti_files import Drive
     from fgrecon.io.run_settings import RunSettings
     from fgrecon.perception.boxes import GivenBoxes
     from fgrecon.viz import Recording

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 from factors.lazy import lazy_names
 
 if TYPE_CHECKING:  # imported when used
-    from fgrecon.simulation.demo import DemoScene, demo_scene
     from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
-    from fgrecon.simulation.sample import SampleStreet, sample_drive, sample_scan, sample_street
+    from fgrecon.simulation.sample import DemoScene, SampleStreet, demo_scene, sample_drive, sample_scan, sample_street
     from fgrecon.simulation.vehicles import (
         KITTI_CAMERA,
         SimulatedTruth,

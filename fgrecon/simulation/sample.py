@@ -1,4 +1,4 @@
-"""Sample inputs, all simulated: a street with some cars, and one car over several images."""
+"""Sample inputs, all simulated: a street with cars, one car over several images, and the scene of `fgrecon demo`."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation
+from fgrecon.core.repr import brief_repr
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.simulation.keypoint_noise import HOURGLASS
-from fgrecon.simulation.render import Body, render
-from fgrecon.simulation.scenery import BODY_COLOURS, car_paint, road, with_shadow
+from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
+from fgrecon.simulation.render import Body, Picture, render
+from fgrecon.simulation.scenery import BODY_COLOURS, car_paint, planter, road, with_shadow
 from fgrecon.simulation.vehicles import KITTI_CAMERA, SimulatedTruth, Vehicle, simulate, yaw_pose
+from fgrecon.solve.vehicle.visibility import clearance
 
 GROUND = Ground.level(1.65)
 """The road under KITTI's camera."""
@@ -71,12 +73,12 @@ def sample_street(prior: ShapePrior, seed: int = 0) -> SampleStreet:
     for yaw, x, z in _PARKED:
         away = rng.uniform(-0.3, 0.3, 2)
         poses.append(yaw_pose(yaw + rng.uniform(-0.1, 0.1), np.array([x + away[0], GROUND.distance, z + away[1]])))
-    vehicles = [_vehicle(prior, rng) for _ in poses]
+    vehicles = [Vehicle.usual(prior, rng) for _ in poses]
     cars = tuple(_seen(vehicle, pose, rng) for vehicle, pose in zip(vehicles, poses, strict=True))
     colours = rng.permutation(list(BODY_COLOURS.values()))
     assert KITTI_CAMERA.image_size is not None
     background = road(KITTI_CAMERA, GROUND, KITTI_CAMERA.image_size, seed)
-    return SampleStreet(_picture(prior, vehicles, poses, colours, background), KITTI_CAMERA, cars)
+    return SampleStreet(_picture(vehicles, poses, colours, background), KITTI_CAMERA, cars)
 
 
 def sample_scan(street: SampleStreet, seed: int = 0) -> NDArray[np.float64]:
@@ -119,7 +121,7 @@ def sample_track(prior: ShapePrior, frames: int = 8, seed: int = 0) -> list[Seen
         InvalidInputError: The prior has no surface.
     """
     rng = np.random.default_rng([seed, 1])
-    vehicle, turn = _vehicle(prior, rng), rng.uniform(-0.1, 0.1)
+    vehicle, turn = Vehicle.usual(prior, rng), rng.uniform(-0.1, 0.1)
     places = [_FIRST + number * _STEP + [0.0, GROUND.distance, 0.0] for number in range(frames)]
     return [_seen(vehicle, yaw_pose(_ONCOMING + turn, place), rng) for place in places]
 
@@ -139,9 +141,7 @@ def sample_drive(prior: ShapePrior, frames: int = 8, seed: int = 0) -> list[Samp
     background = road(KITTI_CAMERA, GROUND, KITTI_CAMERA.image_size, seed)
     colours = np.random.default_rng(seed).permutation(list(BODY_COLOURS.values()))
     return [
-        SampleStreet(
-            _picture(prior, [c.truth.vehicle], [c.truth.camera_T_object], colours, background), KITTI_CAMERA, (c,)
-        )
+        SampleStreet(_picture([c.truth.vehicle], [c.truth.camera_T_object], colours, background), KITTI_CAMERA, (c,))
         for c in sample_track(prior, frames, seed)
     ]
 
@@ -170,16 +170,11 @@ def disturbed_boxes(boxes: Sequence[Box3D], camera: Camera, errors: BoxErrors, r
     return found
 
 
-def _vehicle(prior: ShapePrior, rng: np.random.Generator) -> Vehicle:
-    return Vehicle.usual(prior, rng)
-
-
 def _seen(vehicle: Vehicle, camera_T_object: NDArray[np.float64], rng: np.random.Generator) -> SeenCar:
     return SeenCar(*simulate(vehicle, KITTI_CAMERA, camera_T_object, rng, HOURGLASS))
 
 
 def _picture(
-    prior: ShapePrior,
     vehicles: Sequence[Vehicle],
     poses: Sequence[NDArray[np.float64]],
     colours: NDArray[np.float64],
@@ -187,9 +182,94 @@ def _picture(
 ) -> NDArray[np.uint8]:
     bodies = []
     for vehicle, pose, colour in zip(vehicles, poses, colours, strict=False):
-        length, width = np.ptp(vehicle.vertices[:, [0, 2]], axis=0)
-        background = with_shadow(background, KITTI_CAMERA, pose, length, width)
         red, green, blue = colour.tolist()
-        paint = car_paint(vehicle.keypoints, prior.category.keypoints, (red, green, blue))
-        bodies.append(Body(vehicle.vertices, vehicle.faces, paint, pose))
+        body, background = _standing(vehicle, pose, (red, green, blue), KITTI_CAMERA, background)
+        bodies.append(body)
     return render(bodies, KITTI_CAMERA, background).image
+
+
+def _standing(
+    vehicle: Vehicle,
+    pose: NDArray[np.float64],
+    colour: tuple[float, float, float],
+    camera: Camera,
+    background: NDArray[np.float64],
+) -> tuple[Body, NDArray[np.float64]]:
+    """A painted car, and the background with its shadow."""
+    length, width = np.ptp(vehicle.vertices[:, [0, 2]], axis=0)
+    paint = car_paint(vehicle.keypoints, vehicle.category.keypoints, colour)
+    body = Body(vehicle.vertices, vehicle.faces, paint, pose)
+    return body, with_shadow(background, camera, pose, length, width)
+
+
+_DEMO_SIZE = (960, 540)
+_DEMO_CAMERA = Camera(np.array([[900.0, 0.0, 479.5], [0.0, 900.0, 229.5], [0.0, 0.0, 1.0]]), image_size=_DEMO_SIZE)
+_CAMERA_HEIGHT = 1.65
+_PLANTER = (1.2, 0.4, 0.58)
+_PLANTER_GAP = 1.0
+"""Length, width and height of the planter, and its distance from the wheel that it hides; metres."""
+
+
+@dataclass(frozen=True)
+class DemoScene:
+    """A rendered scene with known truth.
+
+    Attributes:
+        picture: The image, with depth and which body each pixel shows (0 the car, 1 the planter).
+        camera: Its camera.
+        ground: The ground plane under it.
+        observation: Keypoints as a network would report them, and the 2D box of the car.
+        truth: What they were made from.
+    """
+
+    picture: Picture
+    camera: Camera
+    ground: Ground
+    observation: Observation
+    truth: SimulatedTruth
+
+    __repr__ = brief_repr
+
+
+def demo_scene(prior: ShapePrior, seed: int = 0, noise: NoiseModel = HOURGLASS) -> DemoScene:
+    """Render a random car of the prior on a road and observe it.
+
+    The car is seen from an angle at 8 to 10 m; a planter hides the wheel that is nearest to the camera. The same seed
+    gives the same bits.
+
+    Args:
+        prior: A prior with a surface.
+        seed: Of everything.
+        noise: The network's mistakes.
+
+    Raises:
+        InvalidInputError: The prior has no surface.
+    """
+    rng = np.random.default_rng(seed)
+    vehicle = Vehicle.usual(prior, rng)
+    ground = Ground.level(_CAMERA_HEIGHT)
+    yaw = float(rng.choice([-1.0, 1.0])) * (np.pi / 2 + rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(25.0, 55.0)))
+    pose = yaw_pose(yaw, np.array([rng.uniform(-0.8, 0.8), _CAMERA_HEIGHT, rng.uniform(8.0, 10.0)]))
+    planter_pose = _before_nearest_wheel(vehicle, pose)
+    box_vertices, box_faces, box_paint = planter(*_PLANTER, seed)
+
+    to_planter = np.linalg.inv(planter_pose) @ pose
+    keypoints = transform(to_planter, vehicle.keypoints)
+    centre = -planter_pose[:3, :3].T @ planter_pose[:3, 3]
+    hidden = clearance(box_vertices, box_faces, keypoints, centre) > 0.0
+    observation, truth = simulate(vehicle, _DEMO_CAMERA, pose, rng, noise, hidden)
+
+    colour = list(BODY_COLOURS.values())[rng.integers(len(BODY_COLOURS))]
+    body, background = _standing(vehicle, pose, colour, _DEMO_CAMERA, road(_DEMO_CAMERA, ground, _DEMO_SIZE, seed))
+    background = with_shadow(background, _DEMO_CAMERA, planter_pose, _PLANTER[0], _PLANTER[1])
+    bodies = [body, Body(box_vertices, box_faces, box_paint, planter_pose)]
+    return DemoScene(render(bodies, _DEMO_CAMERA, background), _DEMO_CAMERA, ground, observation, truth)
+
+
+def _before_nearest_wheel(vehicle: Vehicle, camera_T_object: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pose (4, 4) on the ground between the camera and the nearest ground keypoint, broadside to the camera."""
+    ground = vehicle.keypoints[list(vehicle.category.ground_keypoints)] * np.array([1.0, 0.0, 1.0])
+    wheels = transform(camera_T_object, ground)
+    wheel = wheels[wheels[:, 2].argmin()]
+    away = np.array([wheel[0], 0.0, wheel[2]]) / np.hypot(wheel[0], wheel[2])
+    return yaw_pose(float(np.arctan2(away[0], away[2])), wheel - _PLANTER_GAP * away)

@@ -40,7 +40,7 @@ from fgrecon.io.files import check_folder, text_file
 from fgrecon.io.frames import FrameSource, ImageFrames, NumberedFrames, numbered_frames, open_frames, timed_frames
 from fgrecon.io.images import read_photograph
 from fgrecon.io.kitti_calibration import calibration_beside
-from fgrecon.io.kitti_drives import Drive
+from fgrecon.io.kitti_files import Drive
 from fgrecon.io.poses import CameraPoses, read_poses
 from fgrecon.io.run_settings import RunSettings, content_hash
 from fgrecon.io.source_frames import DEFAULT_RATE, Choice, SourceFrame

@@ -11,7 +11,7 @@ from fgrecon.calibration.box_fit import DetectedOutline, detected_outlines, fit_
 from fgrecon.core.detector_calibration import BoxSource
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
-from fgrecon.io.kitti_drives import read_drive
+from fgrecon.io.kitti_files import read_drive
 from tests.cars import CAMERA, observe, yaw_pose
 
 EDGES = np.array([-0.05, 0.02, 0.03, 0.01])

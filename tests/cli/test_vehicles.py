@@ -10,7 +10,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import write_png
-from fgrecon.simulation.demo import demo_scene
+from fgrecon.simulation.sample import demo_scene
 from tests.command_line import run
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.box_results import boxes_from
-from fgrecon.perception.protocols import find_vehicles
+from fgrecon.perception.protocols import boxes_from, find_vehicles
 
 BOX, OTHER = [10.0, 20.0, 110.0, 80.0], [5.0, 6.0, 7.0, 8.0]
 Track = namedtuple("Track", "id box score class_id")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.kitti_drives import read_drive, read_images, read_object_folder
+from fgrecon.io.kitti_files import read_drive, read_images, read_object_folder
 
 P2 = "P2: 721.5377 0 609.5593 44.85728 0 721.5377 172.854 0.2163791 0 0 1 0.002745884\n"
 CAR = "Car 0.00 1 1.5 20.0 30.0 110.0 80.0 1.5 1.6 4.0 0.5 1.6 15.0 1.5"

@@ -15,7 +15,7 @@ from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.layout import KNetSettings, RefineSettings
 from fgrecon.perception.keypoints.network_file import save_weights
 from fgrecon.perception.keypoints.sessions import at_most, open_session, runs_on, threads_of_networks
-from fgrecon.simulation.demo import demo_scene
+from fgrecon.simulation.sample import demo_scene
 from tests.perception.untrained import untrained
 
 torch = pytest.importorskip("torch")

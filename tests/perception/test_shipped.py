@@ -10,7 +10,7 @@ from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon.perception.from_image import reconstruct_image
 from fgrecon.perception.keypoints.detect import KeypointCascade, detect_keypoints
 from fgrecon.perception.keypoints.network_file import load_weights, shipped
-from fgrecon.simulation.demo import demo_scene
+from fgrecon.simulation.sample import demo_scene
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from fgrecon.io.images import read_image
 from fgrecon.io.kitti_files import Objects
 from fgrecon.perception import vehicles
 from fgrecon.perception.vehicles import DetectionSettings, NanodetVehicleDetector, NetworkPass, shipped, suppress
-from fgrecon.simulation.demo import demo_scene
+from fgrecon.simulation.sample import demo_scene
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
 from fgrecon_research.io.kitti_sets import read_labels
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fgrecon.io.catalogue import load_prior
-from fgrecon.simulation.demo import demo_scene
+from fgrecon.simulation.sample import demo_scene
 
 PRIOR = load_prior("car14")
 

@@ -12,7 +12,7 @@ import fgrecon
 from fgrecon import VehicleClass
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import coarse_prior, load_prior, load_size_prior, shipped_class_sizes
-from fgrecon.io.kitti_drives import read_images
+from fgrecon.io.kitti_files import read_images
 from fgrecon.solve.either_class import EitherClass, mean_weights
 from fgrecon.solve.fitted_class import (
     odds_before_image,

@@ -6,7 +6,7 @@ import pytest
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_overlaps
-from fgrecon.io.kitti_drives import read_drive
+from fgrecon.io.kitti_files import read_drive
 from fgrecon.video.association import AssociationSettings, Candidate, GatedAssociation, ground_contact
 
 CAMERA = Camera(np.array([[720.0, 0, 620], [0, 720.0, 180], [0, 0, 1]]), image_size=(1242, 375))

@@ -8,7 +8,7 @@ from factors.native import native
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import exponential
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import read_drive
+from fgrecon.io.kitti_files import read_drive
 from fgrecon.video.egomotion import CameraMotion, _Problem, camera_motion, motion_of_points, tracked_points
 from tests.video.streets import rendered
 

@@ -13,7 +13,7 @@ from fgrecon.core.errors import DamagedFileWarning, InvalidInputError, Uncovered
 from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon.io.frames import ImageFrames
-from fgrecon.io.kitti_drives import read_drive
+from fgrecon.io.kitti_files import read_drive
 from fgrecon.io.run_settings import RunSettings
 from fgrecon.io.video_frames import write_video
 from fgrecon.simulation import KITTI_CAMERA

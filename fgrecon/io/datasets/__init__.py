@@ -22,8 +22,7 @@ from fgrecon.io.datasets.description import (
     drive_of,
     images_there,
 )
-from fgrecon.io.kitti_drives import Drive, has_labels, read_drive, read_images
-from fgrecon.io.kitti_files import Objects
+from fgrecon.io.kitti_files import Drive, Objects, has_labels, read_drive, read_images
 
 __all__ = [
     "NAMES",

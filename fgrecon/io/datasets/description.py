@@ -25,8 +25,7 @@ from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.text import one_word
 from fgrecon.io.files import write_bytes
 from fgrecon.io.kitti_calibration import KittiCalibration
-from fgrecon.io.kitti_drives import Drive, DriveFrame
-from fgrecon.io.kitti_files import Objects
+from fgrecon.io.kitti_files import Drive, DriveFrame, Objects
 
 T = TypeVar("T")
 

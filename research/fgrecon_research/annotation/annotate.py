@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.selection import LeftOut, Reason, Selection
+from fgrecon.calibration.labelled_boxes import LeftOut, Reason, Selection
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera
 from fgrecon.core.detection import Detection
@@ -19,7 +19,7 @@ from fgrecon.core.evidence import Points
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.io.kitti_files import Drive, DriveFrame
 from fgrecon.perception.keypoints.detect import large_enough
 from fgrecon.perception.protocols import KeypointDetector, find_keypoints
 from fgrecon_research.annotation.annotation import Annotation, Fit, Solid, solid_of

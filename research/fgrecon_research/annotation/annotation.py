@@ -17,7 +17,7 @@ from fgrecon.core.geometry import transform, view_azimuth, yaw_rotation
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.io.kitti_drives import DriveFrame
+from fgrecon.io.kitti_files import DriveFrame
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon.solve.vehicle.visibility import clearance, occluder
 

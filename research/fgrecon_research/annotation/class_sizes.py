@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.calibration.selection import Selection
+from fgrecon.calibration.labelled_boxes import Selection
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import read_images
-from fgrecon.io.kitti_files import parse_object
+from fgrecon.io.kitti_files import parse_object, read_images
 from fgrecon.perception.vehicles import VEHICLE_NAMES, NanodetVehicleDetector
 
 KITTI = {"Car": "car", "Van": "van", "Truck": "lorry", "Tram": "tram"}

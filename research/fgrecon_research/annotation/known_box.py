@@ -18,7 +18,7 @@ import gtsam
 import numpy as np
 
 from factors import X
-from fgrecon.calibration.selection import Reason
+from fgrecon.calibration.labelled_boxes import Reason
 from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from factors.projection import by_pose
-from fgrecon.calibration.selection import Reason
+from fgrecon.calibration.labelled_boxes import Reason
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
@@ -23,7 +23,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.io.kitti_drives import IMAGES_PER_SECOND
+from fgrecon.io.kitti_files import IMAGES_PER_SECOND
 from fgrecon.solve.tracker import Tracker
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.annotation.annotation import Fit

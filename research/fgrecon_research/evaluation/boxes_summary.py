@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES
 from fgrecon.core.serialise import finite
-from fgrecon.io.kitti_drives import Drive, DriveFrame
-from fgrecon.io.kitti_files import Objects
+from fgrecon.io.kitti_files import Drive, DriveFrame, Objects
 from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval, shown
 from fgrecon_research.evaluation.boxes3d import LabelledBox
 from fgrecon_research.evaluation.kitti_devkit import LEAST_LABELS, REGIMES, Space, evaluate

@@ -22,8 +22,7 @@ from fgrecon.core.metrics import orientation_error
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.serialise import finite
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import Drive, DriveFrame
-from fgrecon.io.kitti_files import Objects
+from fgrecon.io.kitti_files import Drive, DriveFrame, Objects
 from fgrecon.io.run_settings import RunSettings
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes

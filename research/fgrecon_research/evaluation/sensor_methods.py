@@ -29,7 +29,7 @@ from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.evidence import Evidence, Points
 from fgrecon.core.geometry import exponential, yaw_rotation
 from fgrecon.core.point_frames import in_image
-from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.io.kitti_files import Drive, DriveFrame
 from fgrecon.perception.from_image import reconstruct_detections
 from fgrecon.perception.stereo import stereo_depth
 from fgrecon_research.evaluation.point_baselines import score_baselines

@@ -32,7 +32,7 @@ from fgrecon.core.half_turn import HALF_TURN
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import IMAGES_PER_SECOND, Drive, DriveFrame
+from fgrecon.io.kitti_files import IMAGES_PER_SECOND, Drive, DriveFrame
 from fgrecon.io.source_frames import SourceFrame
 from fgrecon.io.track_file import GroundTruth
 from fgrecon.perception.keypoints.decode import logit

@@ -23,7 +23,7 @@ from fgrecon.core.evidence import Points, StereoPair
 from fgrecon.core.geometry import rigid
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import calibration_beside
-from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.io.kitti_files import Drive, DriveFrame
 from fgrecon.io.sensors.points import read_points
 
 

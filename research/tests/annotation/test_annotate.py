@@ -9,7 +9,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Points
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.io.kitti_drives import read_drive, read_object_folder
+from fgrecon.io.kitti_files import read_drive, read_object_folder
 from fgrecon_research.annotation import known_box
 from fgrecon_research.annotation.annotate import LeftOut, Reason, Selection, annotate
 from fgrecon_research.annotation.labels import vehicle_labels

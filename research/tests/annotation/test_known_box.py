@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fgrecon.calibration.selection import Reason
+from fgrecon.calibration.labelled_boxes import Reason
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation

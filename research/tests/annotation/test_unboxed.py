@@ -8,7 +8,7 @@ import pytest
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.half_turn import partners
-from fgrecon.io.kitti_drives import read_drive
+from fgrecon.io.kitti_files import read_drive
 from fgrecon.simulation.vehicles import KITTI_CAMERA
 from fgrecon_research.annotation.annotate import LeftOut, Reason, annotate
 from fgrecon_research.annotation.annotation import Fit

@@ -8,8 +8,7 @@ import pytest
 
 from fgrecon.calibration.labelled_boxes import wanted
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.kitti_drives import read_drive, read_images
-from fgrecon.io.kitti_files import format_results
+from fgrecon.io.kitti_files import format_results, read_drive, read_images
 from fgrecon_research.evaluation.boxes3d import read_boxes, read_boxes_of_drives, score
 from fgrecon_research.evaluation.boxes_summary import document, precisions, precisions_of_drives, summarise
 from fgrecon_research.io.kitti_sets import parse_objects, write_results

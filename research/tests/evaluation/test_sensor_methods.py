@@ -13,7 +13,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.io.images import write_png
-from fgrecon.io.kitti_drives import read_drive
+from fgrecon.io.kitti_files import read_drive
 from fgrecon_research.evaluation.point_baselines import CUBOID, MEDIAN, by_median_depth, fit_cuboid
 from fgrecon_research.evaluation.sensor_methods import OtherMethods, with_points
 from fgrecon_research.evaluation.video_summary import box_overlap, group_boxes

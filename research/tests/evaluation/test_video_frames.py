@@ -10,7 +10,7 @@ import pytest
 
 from fgrecon.calibration.labelled_boxes import SYSTEM
 from fgrecon.calibration.labelled_frames import frames_to_score, reconstruct_frame, score_frames
-from fgrecon.io.kitti_drives import read_drive
+from fgrecon.io.kitti_files import read_drive
 from fgrecon.perception.vehicles import Vehicles
 from fgrecon_research.evaluation.video_tracks import BATCH, ONLINE, follow_boxes
 from research.tests.evaluation.test_video_images import BOXES, folder, setup  # noqa: F401  # fixtures

@@ -23,7 +23,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import write_png
-from fgrecon.io.kitti_drives import read_drive
+from fgrecon.io.kitti_files import read_drive
 from fgrecon_research.evaluation.run import ScoredRivals
 from tests.made_up_track import T2, K, pose_of
 

@@ -13,7 +13,7 @@ from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.evidence import Points
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.half_turn import flipped_observation
-from fgrecon.io.kitti_drives import read_drive
+from fgrecon.io.kitti_files import read_drive
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon_research.evaluation import video_tracks
 from fgrecon_research.evaluation.video_summary import document, summarise_boxes, summarise_groups

@@ -10,7 +10,7 @@ import norfair
 import numpy as np
 import supervision
 
-from fgrecon.io.box_results import boxes_from
+from fgrecon.perception.protocols import boxes_from
 
 CAR, PERSON = np.array([10.0, 20.0, 110.0, 80.0]), np.array([205.0, 6.0, 227.0, 88.0])
 motion, tracker = motpy.MultiObjectTracker(dt=0.1), norfair.Tracker("iou", 0.5, initialization_delay=1)

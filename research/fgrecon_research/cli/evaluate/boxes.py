@@ -17,8 +17,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import counted
 from fgrecon.io.datasets import has_drive, open_drive, submitted_boxes
 from fgrecon.io.datasets.detections import is_submission
-from fgrecon.io.kitti_drives import Drive
-from fgrecon.io.kitti_files import Objects
+from fgrecon.io.kitti_files import Drive, Objects
 from fgrecon_research.cli.evaluate.data_options import MarkdownOption
 from fgrecon_research.evaluation.boxes3d import read_boxes_of_drives, score
 from fgrecon_research.evaluation.boxes_summary import document, precisions_of_drives, summarise, tables

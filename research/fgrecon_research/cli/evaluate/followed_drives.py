@@ -15,7 +15,7 @@ from fgrecon.cli.options import NOT_GIVEN, DriveOptions, LabelledScene
 from fgrecon.cli.terminal import Screen, counting
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.datasets import open_drive, open_video
-from fgrecon.io.kitti_drives import Drive
+from fgrecon.io.kitti_files import Drive
 from fgrecon_research.evaluation.methods import select
 from fgrecon_research.evaluation.sensor_methods import OtherMethods, with_points
 from fgrecon_research.evaluation.video_tracks import follow_boxes

@@ -19,8 +19,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel, BoxOptions, Options
 from fgrecon.io.datasets import open_drive, submitted_boxes
 from fgrecon.io.datasets.detections import is_submission
-from fgrecon.io.kitti_drives import Drive
-from fgrecon.io.kitti_files import Objects
+from fgrecon.io.kitti_files import Drive, Objects
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon_research.evaluation.boxes3d import read_boxes
 from fgrecon_research.evaluation.refined import RefinedVehicle, Refinement, compare, document, refine_drive

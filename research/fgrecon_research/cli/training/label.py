@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from fgrecon.calibration.selection import LeftOut, Reason, Selection
+from fgrecon.calibration.labelled_boxes import LeftOut, Reason, Selection
 from fgrecon.cli.commands import option
 from fgrecon.cli.options import FLEETS, GroundOption, JsonOption, PriorOption, WeightsOption
 from fgrecon.cli.outputs import check_outputs
@@ -29,7 +29,7 @@ from fgrecon.io.coco_keypoints import VehicleLabel, VehicleLabels, write_coco_ke
 from fgrecon.io.datasets import open_drive
 from fgrecon.io.files import check_ending
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import Drive, read_drive
+from fgrecon.io.kitti_files import Drive, read_drive
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.viz.picture import save_picture
 from fgrecon_research.annotation.annotate import annotate
@@ -43,7 +43,7 @@ from fgrecon_research.viz.label_sheet import label_sheet
 
 @dataclass(frozen=True)
 class SelectionOptions:
-    """Which vehicles are labelled; see `fgrecon.calibration.selection.Selection`."""
+    """Which vehicles are labelled; see `fgrecon.calibration.labelled_boxes.Selection`."""
 
     kinds: str = option("Kinds of objects.", default="Car,Van", metavar="KIND,KIND,...")
     least_height: float = option("Least height of the 2D box, pixels.", default=25.0)

@@ -9,7 +9,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.coco_keypoints import write_coco_keypoints
-from fgrecon.io.kitti_drives import read_drive
+from fgrecon.io.kitti_files import read_drive
 from fgrecon.perception.keypoints.layout import KINDS
 from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.labels import silhouette, vehicle_labels
