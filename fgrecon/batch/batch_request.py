@@ -46,9 +46,6 @@ class BatchRequest:
 def reconstruct_files(request: BatchRequest, report: Callable[[Tally], None] = lambda _: None) -> Tally:
     """Reconstruct every row of some files; see `fgrecon.batch.run`, whose errors it raises.
 
-    Args:
-        report: Called whenever rows are done.
-
     Raises:
         InvalidInputError: The camera is given of a part of an image, but not that of the whole image; there are boxes
             but no images; or the table cannot be written.

@@ -76,13 +76,7 @@ def document(
     """The JSON text of a run: settings, and result or error of every vehicle.
 
     Args:
-        path: The input.
-        outcomes: One per vehicle.
-        settings: What held for all.
-        images: Images whose vehicles were solved together.
         photograph: The image of vehicles of which the input does not say it, or None.
-        history: Whether results keep their history and graph.
-        warnings: What there is to warn of, for who sees nothing but the file.
         left_out: How many vehicles of the input, or boxes, were left out, by reason.
     """
     content = {
@@ -212,7 +206,6 @@ def _with_evidence(tasks: list[VehicleTask], sensors: SensorSource | None, file:
     """The vehicles of a keypoint file with what other sensors say of their images.
 
     Args:
-        sensors: The sensors' files, or None.
         file: The photograph, else the keypoint file, whose name the sensors' files have where vehicles name no image.
     """
     if sensors is None:
@@ -266,13 +259,7 @@ class SolvedFile:
         return [*lines, *self.contradictions, *self.focal_lengths[:1], *self.parts_left_out]
 
     def document(self, *, history: bool = False, warnings: Sequence[str] = (), path: Path | None = None) -> str:
-        """The results file; see `fgrecon.batch.file_service.document`.
-
-        Args:
-            history: Whether results keep their history and graph.
-            warnings: What there is to warn of.
-            path: The input as it is named there; None for the file.
-        """
+        """The results file; see `fgrecon.batch.file_service.document`."""
         read = self.read
         photograph = None if read.photograph is None else Path(read.photograph.name)
         return document(

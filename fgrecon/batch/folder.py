@@ -53,7 +53,6 @@ def write_table(folder: Path, path: Path) -> Path:
     """All rows of a run's folder as one table, those that were refused included, by file and row.
 
     Args:
-        folder: What `fgrecon batch` wrote.
         path: `.parquet`, or `.csv`: numbers and texts alone, with the corners of the 2D box.
     """
     rows = sorted(Parts(folder).rows(), key=_place)

@@ -130,7 +130,6 @@ def work(
 
     Args:
         function: Called in the workers, which it is sent to once; it can be pickled.
-        pieces: What it is called with.
         jobs: Number of processes, each with one thread.
         parts: The parts of a piece, for one during which workers die.
         lost: The result of a part that was given up.
@@ -152,8 +151,6 @@ def drive(
     """`work` by workers of any kind.
 
     Args:
-        workers: One at least.
-        pieces: What they are called with.
         parts: The parts of a piece, for one during which workers die.
         lost: The result of a part that was given up.
         death: What the future of a piece raises whose worker has died.
@@ -281,9 +278,6 @@ def work_on_ray(
     address: str,
 ) -> Iterator[Result]:
     """`work` by actors of a Ray cluster, each with one processor; no more than the cluster has.
-
-    Args:
-        address: Of the cluster, or `auto`.
 
     Raises:
         MissingPackageError: Ray is not installed.

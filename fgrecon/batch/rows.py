@@ -49,9 +49,6 @@ def solved_row(
 
     Args:
         origin: What the row takes over from its task.
-        vehicle: Number of the vehicle within the task.
-        name: The vehicle's id.
-        camera: The camera that saw it.
     """
     return {
         **origin,

@@ -190,12 +190,7 @@ _BLOCK_BYTES = 1 << 20
 
 
 def check_unedited(folder: Path, sources: Sequence[InputFile], done: Collection[str]) -> None:
-    """Refuse a file of which rows are done and that is another one now; remember the fingerprints of the others.
-
-    Args:
-        folder: Of the run.
-        done: Ids of the rows that are done.
-    """
+    """Refuse a file of which rows are done and that is another one now; remember the fingerprints of the others."""
     path = folder / INPUTS
     known = stored(path, _known) or {}
     begun = {name.rpartition("#")[0] for name in done}.union(done)

@@ -75,7 +75,6 @@ def solve_tasks(
     """Reconstruct vehicles, those of an image together or each by itself.
 
     Args:
-        settings: What holds for all of them.
         together: Whether the vehicles of an image share its ground; where a focal length is not known, they are solved
             together in any case.
         jobs: Processes, each with one thread; vehicles of an image are solved together in one.
@@ -171,7 +170,6 @@ def solve_same_camera(
 
     Args:
         images: Name and vehicles of each image, all with the same camera.
-        settings: What holds for all of them.
 
     Returns:
         Of each image the outcomes of its vehicles, with the camera that was estimated, and its scene.
@@ -240,7 +238,6 @@ def check_any(path: Path, outcomes: Sequence[Outcome]) -> bool:
 
     Args:
         path: The file that they are from, for the error.
-        outcomes: One per vehicle.
 
     Raises:
         InvalidInputError: None was, and the input is to blame for every one; it is the first one's error.

@@ -190,13 +190,6 @@ def image_tasks(
 ) -> list[VehicleTask]:
     """The vehicles in the boxes of an image, with the keypoints that the networks detect.
 
-    Args:
-        path: The image's file.
-        source: The given camera, with the photograph.
-        boxes: Where the vehicles are.
-        how: How keypoints are detected.
-        sensors: Other sensors' files, or None.
-
     Returns:
         The vehicles. Where no camera is given it is that of KITTI's `calib` beside the image, the photograph's EXIF
         camera, or one of unknown focal length.

@@ -51,12 +51,7 @@ def _check_count(count: int, what: str) -> None:
 def detected_outlines(
     drives: Sequence[Drive], frames: Iterable[ScoredFrame], prior: ShapePrior
 ) -> Iterator[DetectedOutline]:
-    """The detected boxes of labelled cars that nothing hides and that are in the image as a whole.
-
-    Args:
-        drives: The labelled drives.
-        frames: What was detected in their frames.
-    """
+    """The detected boxes of labelled cars that nothing hides and that are in the image as a whole."""
     plain = prepare(prior)
     labelled = {(drive.name, frame.number): frame for drive in drives for frame in drive.frames}
     for frame in frames:

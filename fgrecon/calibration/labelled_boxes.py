@@ -180,8 +180,6 @@ def match_detections(
     A detection is given to one label at most: pairs are made in the order of their overlap.
 
     Args:
-        labels: M labels.
-        detections: What was found.
         least: Overlap that a detection must exceed.
         kind: Of the detections that are taken.
     """
@@ -315,11 +313,6 @@ def matched(frame: DriveFrame, boxes: Objects, least: float) -> NDArray[np.int64
 
     A box that is a car's or van's that does not count is no other's. Where no box of a car is there, one of a van is
     taken: detectors call the same vehicle both.
-
-    Args:
-        frame: The labels.
-        boxes: What was found.
-        least: Overlap.
     """
     rows = np.flatnonzero(np.isin(frame.objects.kind, Selection().kinds))
     labels = frame.objects.take(rows)
@@ -349,7 +342,6 @@ def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Arr
     """How far a result is off.
 
     Args:
-        truth: Labelled place and yaw.
         size: (3,) labelled length, width and height.
         offset: (3,) of the labels' frame in the camera's.
     """
@@ -374,7 +366,6 @@ def claimed_regions(found: BoxOutcome, group: str) -> tuple[Region, ...]:
     """The errors of a result by the regions that it claims.
 
     Args:
-        found: How far it is off.
         group: What its regions are left out of the baselines with.
     """
     errors = {"position": found.metres, "yaw": found.degrees}

@@ -154,7 +154,6 @@ def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None
 
     Args:
         folds: `DRIVE[,DRIVE...]=FILE` each.
-        drives: Names of all drives.
         weights: File for the drives that no fold names, or None.
 
     Raises:

@@ -159,7 +159,6 @@ def score_frames(
     """Look at every frame of `frames_to_score`, and score the boxes that count.
 
     Args:
-        drives: What to score.
         setups: What each drive is reconstructed with, by its name.
         rivals: Makes, in each process, what scores other methods on the same keypoints; picklable.
         jobs: Number of processes; 1 uses this one. Each of several uses one thread, and the results do not depend on

@@ -68,7 +68,6 @@ class Bag:
         """Topic, time of recording (nanoseconds) and content of messages, in order of these times.
 
         Args:
-            topics: Which are read.
             at: The time of those that are read; None for all.
         """
         if not topics:

@@ -148,7 +148,6 @@ class BagDrive:
         """The points of a LiDAR.
 
         Args:
-            lidar: Which.
             poses: As `BagDrive.poses` takes them.
 
         Raises:

@@ -117,10 +117,6 @@ def _raw(message: Any, where: str) -> Pixels:
 def film(messages: Iterable[Any], codec: str, where: str) -> Iterator[BagPicture]:
     """The pictures of a film, a message each, in order; messages before the first whole one have none.
 
-    Args:
-        messages: In order.
-        codec: FFmpeg's name of it.
-
     Raises:
         MissingPackageError: PyAV is not installed.
     """

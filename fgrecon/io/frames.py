@@ -144,9 +144,6 @@ def numbered_frames(
     """Those of a choice of frames without images.
 
     Args:
-        path: The file that tells their numbers.
-        numbers: Of the frames.
-        choice: Which are taken.
         times: Seconds by number, where they are known.
         rate: Frames per second where they are not; None assumes 10.
 

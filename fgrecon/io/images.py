@@ -33,11 +33,7 @@ UNREAD = (".heic", ".heif", ".hif", ".avif", ".jxl", ".dng", ".cr2", ".cr3", ".n
 
 
 def refuse_unread(path: Path, field: str) -> None:
-    """Refuse a photograph in a format that is not read, or a folder that has one; whatever else is passed over.
-
-    Args:
-        path: The file or folder.
-    """
+    """Refuse a photograph in a format that is not read, or a folder that has one; whatever else is passed over."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     for file in files:
         if file.suffix.lower() in UNREAD and file.is_file():
@@ -66,11 +62,7 @@ def read_photograph(path: str | Path, whole: tuple[int, int] | None = None) -> t
 def decode_photograph(
     content: bytes, name: str, whole: tuple[int, int] | None = None
 ) -> tuple[NDArray[np.uint8], Camera | None]:
-    """The content of an image file as `read_photograph` gives it.
-
-    Args:
-        whole: As in `read_photograph`.
-    """
+    """The content of an image file as `read_photograph` gives it."""
     image = decode_image(content, name)
     return image, exif_camera(content, *(whole or (image.shape[1], image.shape[0])))
 
@@ -150,7 +142,6 @@ def exif_camera(content: bytes, width: int, height: int) -> Camera | None:
 
     Args:
         width: Of the picture, upright, pixels.
-        height: Of the picture, upright, pixels.
     """
     tags = _tags(content)
     sides = _number(tags, _WIDTH), _number(tags, _HEIGHT)

@@ -79,9 +79,7 @@ class Isolated:
 
         Args:
             source: What is read, for the error.
-            work: The function.
             args: Its arguments, which can be pickled, and so can be what it returns.
-            kwargs: Likewise.
 
         Raises:
             InvalidInputError: The child died of it, took too long, or took too much memory.

@@ -137,10 +137,6 @@ class Fields:
     def whole(self, field: str, least: int = 0) -> int:
         """An integer that tables have room for (64 bits).
 
-        Args:
-            field: Its name.
-            least: The least that it may be.
-
         Raises:
             InvalidInputError: It is missing, no integer, or out of range.
         """

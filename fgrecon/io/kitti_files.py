@@ -172,7 +172,6 @@ def read_tracking(path: Path, fix: str = _FIX, *, results: bool = True) -> dict[
     """The objects of a file of labels, or of results with scores, by frame; a frame that has none is not there.
 
     Args:
-        path: Text file.
         fix: What to do where it cannot be read, for the error.
         results: Whether lines may have a score after the label.
     """
@@ -271,7 +270,6 @@ def read_drive(folder: Path, tracks: Path | None = None) -> Drive:
     """Read a drive; the images are not opened.
 
     Args:
-        folder: With its images, labels and calibration.
         tracks: A tracker's results in the place of the labels: kinds, 2D boxes and numbers alone are taken.
     """
     if tracks is None:

@@ -155,7 +155,6 @@ def check_unused(fields: Fields, used: Iterable[str] = ()) -> None:
     """Refuse a field that looks like a lens, a size or a lens model and is not read as one.
 
     Args:
-        fields: The calibration.
         used: Names of fields that are read, or known to be of no matter.
     """
     known = DISTORTION | WIDTHS | HEIGHTS | SIZES | MODELS | FISHEYES

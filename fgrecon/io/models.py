@@ -39,8 +39,6 @@ def read_models(folder: Path, category: Category, axes: str | None = None) -> li
     """The models of all files in a folder, or of one file, in the order of their names.
 
     Args:
-        folder: The folder, or the file.
-        category: The category whose keypoints models may have.
         axes: What points forward and up in meshes, such as `x,z`; None for x and -y, and in GLB files z and y.
     """
     if axes is not None:

@@ -132,9 +132,6 @@ def cuboid_boxes(tables: NuScenesTables, image: str) -> Iterator[CuboidBox]:
 def camera_T_lidar(tables: NuScenesTables, image: str, sweep: str) -> Array:
     """(4, 4) from a LiDAR's frame at its sweep to a camera's at its image; the vehicle moves between the two.
 
-    Args:
-        sweep: Name of the sweep's file.
-
     Raises:
         InvalidInputError: There is no such image or sweep, or a record is malformed.
     """

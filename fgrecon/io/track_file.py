@@ -61,7 +61,6 @@ def read_track(path: Path, category: Category) -> Track:
     """Read one track.
 
     Args:
-        path: JSON file.
         category: The category whose keypoints the file must hold; they are brought into its order.
 
     Raises:
@@ -75,7 +74,6 @@ def parse_track(data: Any, name: str, category: Category, where: str = "") -> Tr
     """Check the content of a file and turn it into a track.
 
     Args:
-        name: Name of the track.
         category: The category whose keypoints the file must hold.
 
     Raises:

@@ -121,7 +121,6 @@ def class_by(
     """Of which class a vehicle is, by who is to say it; None where nobody is, or does.
 
     Args:
-        source: Who is to say it, or None.
         boxed: What is said with its box.
         kinds: What the keypoint detector says (`Detection.kinds`).
     """

@@ -92,12 +92,7 @@ class Refiner:
     """
 
     def __init__(self, request: RefineRequest, images: Sequence[BoxedImage[Any]]) -> None:
-        """Judge the boxes of all images together; no image is read.
-
-        Args:
-            request: What holds for all images.
-            images: Those that are to be refined.
-        """
+        """Judge the boxes of all images together; no image is read."""
         self.request = request
         together: dict[BoxOrigin, list[Box3D]] = {}
         for image in images:

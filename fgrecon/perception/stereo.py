@@ -65,7 +65,6 @@ def stereo_depth(left: NDArray[Any], camera: Camera, pair: StereoPair) -> DepthM
 
     Args:
         left: (H, W, 3) RGB, or grey; 8 or 16 bits.
-        pair: The right image and its camera.
 
     Raises:
         InvalidInputError: The images differ in size or not at all, or a lens is a fisheye.
@@ -113,8 +112,6 @@ def _disparity(left: Image, right: Image, product: float) -> Array:
     """(H, W) disparities of a rectified pair, NaN where no match is sure.
 
     Args:
-        left: (H, W, 3) RGB.
-        right: (H, W, 3) RGB.
         product: Focal length times baseline, pixels times metres.
     """
     import cv2  # on use: importing fgrecon must not import OpenCV

@@ -150,9 +150,7 @@ def disturbed_boxes(boxes: Sequence[Box3D], camera: Camera, errors: BoxErrors, r
     """True boxes, disturbed: farther or nearer on their rays, seen some pixels aside, turned, some of them round.
 
     Args:
-        boxes: The true boxes.
         errors: How far a detector's are off.
-        rng: Source of the errors.
     """
     found = []
 

@@ -36,8 +36,6 @@ def check_coverage(frames: Moments, poses: CameraPoses | None, vehicles: Collect
     """Refuse what is given by frame where nothing of it is of a frame.
 
     Args:
-        frames: The frames that are taken.
-        poses: The camera's poses, or None.
         vehicles: Numbers of the frames that vehicles are given for, or None.
     """
     if not frames:
@@ -57,7 +55,6 @@ def coverage_warnings(
 
     Args:
         source: What they come from: vehicles in frames that were not chosen of it are as they should be.
-        poses: The camera's poses, or None.
         vehicles: Numbers of the frames that vehicles are given for, or None.
     """
     if not frames:

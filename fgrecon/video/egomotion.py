@@ -443,7 +443,6 @@ def _road_length(problem: _Problem, unit_depth: Array, noise: Array, usable: NDA
     What is no road stands on it, and would make the motion longer.
 
     Args:
-        problem: The points.
         unit_depth: (P,) their inverse depths, were the motion of unit length.
         noise: (P,) standard deviations of these.
         usable: (P,) which may be the road's, and have a parallax.

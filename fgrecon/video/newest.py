@@ -179,7 +179,6 @@ class LiveFrames:
         The clock begins when the first one is done, with which things are loaded.
 
         Args:
-            frames: As they are read.
             after: Those up to this number come at once; None where all are live.
         """
         for first in frames:

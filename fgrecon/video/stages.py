@@ -60,9 +60,7 @@ def made_ahead(items: Iterator[T], most: int, name: str) -> Generator[T]:
     where that is a generator.
 
     Args:
-        items: Made one after the other.
         most: So many at most are ahead of who takes them; 0 makes them without a thread.
-        name: Of the thread.
     """
     if not most:
         yield from items

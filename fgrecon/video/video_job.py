@@ -359,8 +359,6 @@ def track_video(
     """Look at the frames, follow the vehicles, and smooth the estimates of each when it has gone.
 
     Args:
-        job: What is to be done.
-        warn: Called with every input warning.
         go_on: Called after each frame, as that of `fgrecon.video.run_video`.
         smoothing: Called when the vehicles that have not gone are smoothed next.
         window_graph: Whether frames keep the factor graph of the tracker's window, for a viewer.
@@ -413,10 +411,7 @@ def _settling(
     """The same to be called after each frame; vehicles that have gone for good are smoothed, and forgotten.
 
     Args:
-        job: What is to be done.
-        follower: What follows the vehicles.
         gone: Ids of those that have gone; it is emptied. Given ids go with their last frame.
-        go_on: Called next.
     """
     ends = deque(({} if job.given is None else job.given.ends).items())
     tracker, online = follower.tracker, job.request.online

@@ -196,7 +196,6 @@ class CameraSource:
         """The camera with the given distortion, of the part that the photograph is, of its size.
 
         Args:
-            camera: The camera so far.
             declared: Whether the user declared its image's size, if it has one; else the photograph knows better (some
                 of KITTI's images are cropped).
 
@@ -222,7 +221,6 @@ def assumed_focal_length(camera: Camera, exif: Camera | None, cars: str = "its c
     """A warning of how far to trust distances where no camera is given.
 
     Args:
-        camera: The estimated one.
         exif: The one that the photograph's file has, or None.
         cars: Whose looks it was estimated from, in words.
     """

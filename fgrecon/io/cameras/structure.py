@@ -70,7 +70,6 @@ def colmap_camera(path: Path, image: str | None, name: str | None) -> Camera:
     """A camera of COLMAP.
 
     Args:
-        path: `cameras.txt` or `cameras.bin`.
         image: File name of the photograph; `images.txt` beside tells which camera took it.
         name: Number of the camera, or None.
 
@@ -150,7 +149,6 @@ def nerfstudio_camera(data: Mapping[str, Any], image: str | None, name: str | No
     """The camera of nerfstudio's file, and its pose where an image is named.
 
     Args:
-        image: File name of the photograph, or None.
         name: Name of an image after the file, or None.
 
     Raises:

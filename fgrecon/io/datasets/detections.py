@@ -120,7 +120,6 @@ def read_submission(path: Path, images: Path, tables: NuScenesTables) -> Detecti
     """A submission of nuScenes and the images of its samples, of whatever scenes.
 
     Args:
-        path: The submission.
         images: An image of a key frame, or a folder of such; they have nuScenes' names.
         tables: Without scenes and labels as well.
 
@@ -143,7 +142,6 @@ def with_submitted(path: Path, drive: DataSequence) -> DataSequence:
 
     Args:
         path: The submission; samples that it does not have are not labelled.
-        drive: The scene.
 
     Raises:
         InvalidInputError: It cannot be read, is none, a box is malformed, or it has none of the scene's samples.

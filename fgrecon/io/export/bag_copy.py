@@ -37,7 +37,6 @@ def export_into_bag(
     """Write a copy of a bag with the results of its images, whole or not at all.
 
     Args:
-        path: The `.mcap` file.
         results: The vehicles, by the frames of a run on the bag.
         images: What is known of the frames, by `read_images_file` from the bag.
         bag: The bag: MCAP, `.db3`, or a folder.

@@ -143,7 +143,6 @@ def box_in(info: ImageInfo, camera_T_object: Array, size: Array) -> tuple[Array,
     """Centre (3,) of a vehicle's box and its axes (3, 3) forward, left, up; in the world's frame, else the camera's.
 
     Args:
-        info: What is known of the image.
         camera_T_object: (4, 4) pose, its origin on the ground below the centre.
         size: (3,) length, width and height, metres.
     """

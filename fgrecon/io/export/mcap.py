@@ -147,7 +147,6 @@ def _moments(results: Sequence[NamedResult], images: Mapping[str, ImageInfo], be
     Images without vehicles whose times are known are among them: what was seen before is gone there.
 
     Args:
-        images: What is known of their images.
         below: Seconds from which on the file cannot tell the time.
     """
     found = by_image(results)

@@ -37,7 +37,6 @@ class Surfaces:
         """Find the prior.
 
         Args:
-            settings: The results file's.
             prior: The prior; None for the one that the settings name.
 
         Raises:

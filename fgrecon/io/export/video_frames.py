@@ -33,7 +33,6 @@ def check_video_format(path: Path, kind: str | None = None) -> None:
     """Refuse kinds of files that do not tell frames apart.
 
     Args:
-        path: The file to write.
         kind: One of `KINDS`, or None for what the ending says.
     """
     if (found := check_format(path, kind)) in _NOT_OF_VIDEOS | _OF_SIZE:

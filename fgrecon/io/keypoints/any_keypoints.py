@@ -53,7 +53,6 @@ def parse_any_keypoints(
     """Check the content of a JSON file of any of the formats and turn it into instances; see `read_any_keypoints`.
 
     Args:
-        names: What is known of its names.
         image: Name of the photograph whose vehicles are wanted.
     """
     known = None if names is None else parse_names(names, category)

@@ -49,9 +49,6 @@ def annotation_records(data: Mapping[str, Any], where: str) -> Iterator[tuple[Re
     Crowds are left out, and boxes of a category without keypoints; one that is malformed is the error that says so.
     Those without a labelled keypoint are one error in the end, since files for detection have many.
 
-    Args:
-        data: The file's content.
-
     Raises:
         InvalidInputError: A field of categories or images is missing or malformed; names it.
     """
@@ -105,7 +102,6 @@ def result_records(
     OpenPifPaf's boxes are the extent of the points that it found, not of the car, and are left out.
 
     Args:
-        data: The list.
         names: What the user says of the points, which have no names here.
     """
     for number, item in enumerate(data):
@@ -151,8 +147,6 @@ def _record(fields: Fields, names: Sequence[str | None], *, labelled: bool) -> R
     """Keypoints by name, those that were found alone, and the box.
 
     Args:
-        fields: The annotation or result.
-        names: Of the points, in its order.
         labelled: Whether the third numbers are flags where they can be.
     """
     values = fields.get("keypoints", list)

@@ -122,11 +122,6 @@ def naming_of(theirs: Collection[str], category: Category) -> Names | None:
 def order_of(count: int, category: Category, names: Names | None, field: str) -> tuple[str | None, ...]:
     """Names of points that a file gives in an order alone: the user's, the category's own, or a scheme of this size.
 
-    Args:
-        count: How many points there are.
-        names: What the user says.
-        field: What an error calls the points.
-
     Raises:
         InvalidInputError: Nobody knows the order, or it is one of another number of points.
     """

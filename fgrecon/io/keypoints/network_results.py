@@ -238,7 +238,6 @@ def network_records(
     """The vehicles in the layout of a keypoint file, and what errors about each begin with; one malformed is its error.
 
     Args:
-        data: Those of `network_instances`.
         names: What the user says of points without names.
     """
     for number, item in enumerate(data):

@@ -250,7 +250,6 @@ def yolo_pose_records(path: Path, category: Category) -> Iterator[tuple[Record |
     """The vehicles in the layout of a keypoint file, their points in the order of the lines.
 
     Args:
-        path: The lines.
         category: The category whose keypoints are wanted: where its size fits, points have as many numbers as that
             tells; else three.
     """

@@ -46,7 +46,6 @@ def lidar_place(cloud: Path, image: Path, camera: CameraSource, pose: Path | Non
     """Where the LiDAR of a scan is; None where nothing says.
 
     Args:
-        cloud: The scan's file.
         pose: A file with the motion from the LiDAR's frame to the camera's, as `read_pose` takes it; or None.
     """
     if pose is not None:
@@ -66,7 +65,6 @@ def read_points(path: str | Path, camera_T_points: ArrayLike | KittiCalibration 
     """(N, 3) points of a file in the camera's frame (x right, y down, z forward), metres.
 
     Args:
-        path: The file; see above.
         camera_T_points: (4, 4) from the file's frame to the camera's; or a KITTI calibration, which says where its
             LiDAR is (`.bin`) and where its rectified frame is (`points_cm`). None: the file has the camera's frame,
             as all other files beside a KITTI calibration.

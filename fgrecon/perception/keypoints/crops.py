@@ -145,7 +145,6 @@ def window_of(likelihood: Array, centres: NDArray[np.int64], size: int) -> Array
     Args:
         likelihood: (B, K, H, H) KNet's maps over the same crop.
         centres: (B, K, 2) pixels of the finer crop.
-        size: S.
     """
     side = likelihood.shape[-1]
     span = np.arange(_WINDOW) - _WINDOW // 2

@@ -135,12 +135,7 @@ def load_weights(path: Path) -> Stored:
 
 
 def check_arrays(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]], path: Path) -> None:
-    """Refuse arrays that are not a network's.
-
-    Args:
-        arrays: By name.
-        shapes: Of the network's arrays.
-    """
+    """Refuse arrays that are not a network's."""
     missing = next((name for name in shapes if name not in arrays), None)
     if missing is not None:
         raise InvalidInputError("weights", f"no {missing} in {path}", _OTHER)

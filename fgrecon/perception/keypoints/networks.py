@@ -115,10 +115,6 @@ def folded_arrays(layer: Layer, arrays: Mapping[str, Array]) -> tuple[Array, Arr
     """Kernel and bias of a convolution that does what the layer does up to its ReLU.
 
     It pads its input on all sides as the layer pads on the right: zeros in the kernel make up for it.
-
-    Args:
-        layer: Of a network.
-        arrays: Those of the network, by name.
     """
     name = layer.name
     if layer.epsilon is None:
