@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.weather import CHANGES, View
 from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, match_detections, outcome, wanted
-from fgrecon.calibration.setup import Setup, reconstruct_boxes
+from fgrecon.calibration.labelled_frames import Setup, reconstruct_boxes
 from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.options import Options

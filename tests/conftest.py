@@ -11,7 +11,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy loads: the tests r
 
 import pytest
 
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.calibration.labelled_frames import SceneKnowledge
 from fgrecon.core.camera import Ground
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior

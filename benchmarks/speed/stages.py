@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from benchmarks.speed.cases import Case
 from benchmarks.speed.measure import Clock, clock
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.calibration.labelled_frames import SceneKnowledge
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.options import BoxModel, Options

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from factors.lazy import lazy_names
 
 if TYPE_CHECKING:  # imported when used
-    from fgrecon.batch.folder import read_folder
     from fgrecon.batch.inputs import InputFile, sources_of
+    from fgrecon.batch.parts import read_folder
     from fgrecon.batch.reconstructor import Reconstructor
     from fgrecon.batch.rows import reconstruction_of
     from fgrecon.batch.runs import Tally, run

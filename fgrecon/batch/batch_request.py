@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from fgrecon.batch.folder import write_table
 from fgrecon.batch.inputs import sources_of
+from fgrecon.batch.parts import write_table
 from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.batch.runs import Tally, run
 from fgrecon.core.camera import Camera

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fgrecon.calibration.labelled_boxes import wanted
-from fgrecon.calibration.labelled_frames import ScoredFrame
-from fgrecon.calibration.setup import SETTINGS
+from fgrecon.calibration.labelled_frames import SETTINGS, ScoredFrame
 from fgrecon.core.arrays import Array
 from fgrecon.core.detector_calibration import BoxSource
 from fgrecon.core.errors import InvalidInputError

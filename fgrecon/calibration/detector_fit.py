@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, SYSTEM, VideoBox, box_coverage, wanted
-from fgrecon.calibration.setup import SETTINGS
+from fgrecon.calibration.labelled_frames import SETTINGS
 from fgrecon.core.arrays import Array
 from fgrecon.core.coverage import SIGMAS, reliability
 from fgrecon.core.detection import calibrated_facing

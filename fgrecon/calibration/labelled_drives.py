@@ -12,8 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.calibration.labelled_boxes import VideoBox, wanted
-from fgrecon.calibration.labelled_frames import Rivals, ScoredFrame, frames_to_score, score_frames
-from fgrecon.calibration.setup import SceneKnowledge, Setup
+from fgrecon.calibration.labelled_frames import (
+    Rivals,
+    SceneKnowledge,
+    ScoredFrame,
+    Setup,
+    frames_to_score,
+    score_frames,
+)
 from fgrecon.core.camera import Ground
 from fgrecon.core.choices import BoxModel, ClassSource, TrafficSide
 from fgrecon.core.errors import InvalidInputError

@@ -21,8 +21,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from collections.abc import Callable, Sequence
 
     from fgrecon.calibration.labelled_drives import DriveRequest, GivenScene, ScoredDrives
-    from fgrecon.calibration.labelled_frames import Rivals
-    from fgrecon.calibration.setup import SceneKnowledge
+    from fgrecon.calibration.labelled_frames import Rivals, SceneKnowledge
     from fgrecon.cli.terminal import Screen
     from fgrecon.core.box3d import BoxErrors
     from fgrecon.core.camera import Ground
@@ -274,7 +273,7 @@ class LabelledScene:
 
     def scene(self) -> SceneKnowledge:
         """The scene as methods are bound to it, whose names say what each knows of it."""
-        from fgrecon.calibration.setup import SceneKnowledge
+        from fgrecon.calibration.labelled_frames import SceneKnowledge
         from fgrecon.io.catalogue import load_prior, load_size_prior
 
         return SceneKnowledge(

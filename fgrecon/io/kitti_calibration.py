@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.text_lines import named_lines, numbers
+from fgrecon.io.files import named_lines, numbers
 
 _FOCAL_TOLERANCE = 0.01  # pixels
 _RECTIFYING = "R0_rect", "R_rect", "R_rect_00"

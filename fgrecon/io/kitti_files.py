@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import filled_lines
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
-from fgrecon.io.text_lines import filled_lines
 
 DETECTION_CLASSES = {"1": "Pedestrian", "2": "Car", "3": "Cyclist"}
 _DETECTION_NUMBERS = {name.lower(): number for number, name in DETECTION_CLASSES.items()}

@@ -23,8 +23,8 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.checks import as_finite, as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import rigid
+from fgrecon.io.files import filled_lines
 from fgrecon.io.json_fields import numbers, read_json
-from fgrecon.io.text_lines import filled_lines
 
 _FIX = "Give lines of 12 numbers (KITTI) or of 8 (TUM), or JSON with matrices 4 x 4."
 _KITTI, _TUM = 12, 8

@@ -34,13 +34,13 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around
 from fgrecon.io.boxes import ENDINGS, boxes_in
 from fgrecon.io.catalogue import class_of_kind
+from fgrecon.io.files import filled_lines
 from fgrecon.io.frames import FrameSource, ImageFrames
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, parse_keypoints
 from fgrecon.io.kitti_files import read_tracking
 from fgrecon.io.lens_fields import scale_between
 from fgrecon.io.source_frames import frames_by_name, number_of
-from fgrecon.io.text_lines import filled_lines
 from fgrecon.io.track_file import parse_track
 from fgrecon.video.association import AssociationSettings
 from fgrecon.video.records import Sighting

@@ -20,9 +20,8 @@ from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.lens import FISHEYE, OPENCV
 from fgrecon.io.cameras.rigs import MountedCamera, named_camera
-from fgrecon.io.files import read_text
+from fgrecon.io.files import filled_lines, read_text
 from fgrecon.io.json_fields import Fields, within
-from fgrecon.io.text_lines import filled_lines
 
 _HALF = 0.5  # pixels: the centre of COLMAP's first pixel
 _FIX = "Give COLMAP's file of cameras as it wrote it."

@@ -22,8 +22,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import rigid
 from fgrecon.core.lens import MEI
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
-from fgrecon.io.files import read_text
-from fgrecon.io.text_lines import as_pose, filled_lines, named_lines, named_matrix, named_pose, numbers
+from fgrecon.io.files import as_pose, filled_lines, named_lines, named_matrix, named_pose, numbers, read_text
 
 _CAMERAS = {"image_00": "data_rect", "image_01": "data_rect", "image_02": "data_rgb", "image_03": "data_rgb"}
 """Folders of the images; the last two are fisheyes."""

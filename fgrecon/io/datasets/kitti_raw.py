@@ -19,9 +19,8 @@ from fgrecon.core.checks import as_size
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import rigid
 from fgrecon.io.datasets.description import CameraImage, DataSequence, Moment, Reader, Sweep, WorldBox
-from fgrecon.io.files import read_text
+from fgrecon.io.files import filled_lines, named_lines, named_matrix, numbers, read_text
 from fgrecon.io.kitti_calibration import read_calibration
-from fgrecon.io.text_lines import filled_lines, named_lines, named_matrix, numbers
 
 _CAMERAS = {f"image_{i:02d}": f"P{i}" for i in range(4)}
 _CALIB, _TRACKLETS = "calib_cam_to_cam.txt", "tracklet_labels.xml"

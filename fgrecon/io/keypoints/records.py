@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.io.files import read_text
+from fgrecon.io.files import filled_lines, read_text
 from fgrecon.io.images import IMAGES, read_image
 from fgrecon.io.isolated import Isolated
 from fgrecon.io.json_fields import read_json
@@ -36,7 +36,6 @@ from fgrecon.io.keypoints.coco_records import annotation_records, is_annotations
 from fgrecon.io.keypoints.names import naming_of, scheme_keypoints
 from fgrecon.io.keypoints.network_results import PROBABLE, network_instances
 from fgrecon.io.keypoints.tool_records import cvat_records, is_tool_file, tool_records
-from fgrecon.io.text_lines import filled_lines
 
 _VISIBLE = 1
 """Status of an anchor: 1 visible, 2 self-occluded, 3 occluded, 4 truncated, 5 unknown."""

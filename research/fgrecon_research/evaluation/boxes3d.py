@@ -17,9 +17,8 @@ import numpy as np
 from fgrecon.calibration.labelled_boxes import matched, wanted
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error
-from fgrecon.io.files import read_text
+from fgrecon.io.files import filled_lines, read_text
 from fgrecon.io.kitti_files import LABEL_COLUMNS, Drive, Objects, read_tracking
-from fgrecon.io.text_lines import filled_lines
 from fgrecon_research.evaluation.kitti_devkit import Space, overlap
 from fgrecon_research.io.kitti_sets import Defect, parse_objects
 

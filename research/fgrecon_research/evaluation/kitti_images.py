@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import BoxOutcome, match_detections
-from fgrecon.calibration.labelled_frames import failed, found_outcome
-from fgrecon.calibration.setup import Setup, reconstruct_boxes
+from fgrecon.calibration.labelled_frames import Setup, failed, found_outcome, reconstruct_boxes
 from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.serialise import finite

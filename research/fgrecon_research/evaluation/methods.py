@@ -20,7 +20,7 @@ import numpy as np
 import poselib
 from numpy.typing import NDArray
 
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.calibration.labelled_frames import SceneKnowledge
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.geometry import rigid

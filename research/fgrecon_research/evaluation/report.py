@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.calibration.labelled_frames import SceneKnowledge
 from fgrecon.core.serialise import finite
 from fgrecon.io.track_file import Track
 from fgrecon_research.evaluation.measures import THRESHOLDS, instances_within, orientation_precision

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import BoxOutcome
-from fgrecon.calibration.labelled_frames import ReconstructedFrame
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.calibration.labelled_frames import ReconstructedFrame, SceneKnowledge
 from fgrecon.core.camera import Camera
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error
 from fgrecon.core.reconstruction import rotation_y

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.calibration.labelled_boxes import BoxOutcome, VideoBox
-from fgrecon.calibration.labelled_frames import ReconstructedFrame, found_outcome
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.calibration.labelled_frames import ReconstructedFrame, SceneKnowledge, found_outcome
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.choices import DepthScale

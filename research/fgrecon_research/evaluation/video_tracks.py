@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 from fgrecon.calibration.labelled_boxes import FLIPPED_DEGREES, BoxOutcome, VideoBox, normalised_squared_error, outcome
-from fgrecon.calibration.labelled_frames import ScoredFrame, failed
-from fgrecon.calibration.setup import Setup
+from fgrecon.calibration.labelled_frames import ScoredFrame, Setup, failed
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera
 from fgrecon.core.detection import facing_probability

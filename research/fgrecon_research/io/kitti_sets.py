@@ -18,7 +18,7 @@ import numpy as np
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import counted
-from fgrecon.io.files import read_text, write_text
+from fgrecon.io.files import filled_lines, read_text, write_text
 from fgrecon.io.kitti_files import (
     DETECTION_CLASSES,
     DetectionLine,
@@ -27,7 +27,6 @@ from fgrecon.io.kitti_files import (
     parse_detection,
     parse_object,
 )
-from fgrecon.io.text_lines import filled_lines
 
 
 class Defect(StrEnum):

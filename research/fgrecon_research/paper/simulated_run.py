@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.calibration.labelled_frames import SceneKnowledge
 from fgrecon.core.processes import processes_with
 from fgrecon.core.robust import StrategyName
 from fgrecon.io.catalogue import load_category

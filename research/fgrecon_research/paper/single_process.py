@@ -13,7 +13,7 @@ from itertools import islice
 from multiprocessing import get_context
 from time import perf_counter
 
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.calibration.labelled_frames import SceneKnowledge
 from fgrecon.core.processes import one_thread_each
 from fgrecon.core.robust import StrategyName
 from fgrecon.io.track_file import Track

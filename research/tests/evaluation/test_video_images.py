@@ -14,8 +14,7 @@ from fgrecon.calibration.labelled_boxes import (
     view_of,
     wanted,
 )
-from fgrecon.calibration.labelled_frames import score_frames
-from fgrecon.calibration.setup import Setup
+from fgrecon.calibration.labelled_frames import Setup, score_frames
 from fgrecon.core.camera import Ground
 from fgrecon.core.detection import Detection, facing_probability
 from fgrecon.core.errors import InvalidInputError

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.calibration.labelled_frames import SceneKnowledge
 from fgrecon.cli.main import app
 from fgrecon.core.camera import Ground
 from fgrecon.core.size_prior import size_prior

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fgrecon.calibration.labelled_boxes import match_detections
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.calibration.labelled_frames import SceneKnowledge
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.io.kitti_calibration import KittiCalibration

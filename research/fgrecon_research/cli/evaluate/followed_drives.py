@@ -8,8 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from fgrecon.calibration.labelled_drives import ScoredDrives
-from fgrecon.calibration.labelled_frames import Rivals
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.calibration.labelled_frames import Rivals, SceneKnowledge
 from fgrecon.cli.commands import option
 from fgrecon.cli.options import NOT_GIVEN, DriveOptions, LabelledScene
 from fgrecon.cli.terminal import Screen, counting

@@ -9,7 +9,7 @@ from pathlib import Path
 import typer
 
 from fgrecon.calibration.labelled_drives import GivenScene
-from fgrecon.calibration.setup import Setup
+from fgrecon.calibration.labelled_frames import Setup
 from fgrecon.cli.commands import option
 from fgrecon.cli.options import Delivery, JsonOption, LabelledScene, TogetherOption, TrafficOption, WeightsOption
 from fgrecon.cli.outputs import check_not_over, check_outputs

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.calibration.labelled_frames import SceneKnowledge
 from fgrecon.cli.options import Delivery, JsonOption, LabelledScene, fitting_names
 from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Screen, Terminal, counting
