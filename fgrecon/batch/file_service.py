@@ -42,7 +42,7 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.rounding import rounded
+from fgrecon.core.serialise import rounded
 from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.images import IMAGES, read_photograph

@@ -22,8 +22,7 @@ from fgrecon.cli.terminal import compact_table
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.rounding import rounded
-from fgrecon.core.serialise import plain
+from fgrecon.core.serialise import plain, rounded
 from fgrecon.core.text import distinct, whole_text
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.io.cameras.camera_source import CameraSource

@@ -8,7 +8,6 @@ shape near the other.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -45,18 +44,8 @@ def partners(prior: ShapePrior) -> NDArray[np.intp]:
 
 def flipped_observation(observation: Observation, prior: ShapePrior) -> Observation:
     """The observation of the vehicle turned by half; points without a partner are not measured."""
-    partner = partners(prior)
-    there = partner >= 0
-    index = np.maximum(partner, 0)
-    covariance = observation.covariance
-    azimuth = observation.azimuth
-    return replace(
-        observation,
-        keypoints=np.where(there[:, None], observation.keypoints[index], np.nan),
-        confidence=np.where(there, observation.confidence[index], 0.0),
-        covariance=None if covariance is None else covariance[index],
-        azimuth=None if azimuth is None else flipped_directions(azimuth),
-    )
+    renamed, azimuth = observation.renamed(partners(prior)), observation.azimuth
+    return renamed if azimuth is None else renamed.with_directions(flipped_directions(azimuth))
 
 
 def flipped_alternative(

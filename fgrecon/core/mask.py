@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -63,20 +64,9 @@ class Mask:
                 raise InvalidInputError("mask.sigma", sigma, "Give pixels, above zero.")
         top, left = max(int(rows[0]) - _MARGIN, 0), max(int(columns[0]) - _MARGIN, 0)
         part = whole[top : int(rows[-1]) + _MARGIN + 1, left : int(columns[-1]) + _MARGIN + 1]
-        self._set(part, (left, top), (whole.shape[1], whole.shape[0]), hides=hides, sigma=sigma)
-
-    def _set(
-        self,
-        pixels: NDArray[Any],
-        corner: tuple[int, int],
-        image_size: tuple[int, int],
-        *,
-        hides: bool,
-        sigma: float | None,
-    ) -> None:
-        object.__setattr__(self, "pixels", own(pixels))
-        object.__setattr__(self, "corner", own(np.array(corner)))
-        object.__setattr__(self, "image_size", image_size)
+        object.__setattr__(self, "pixels", own(part))
+        object.__setattr__(self, "corner", own(np.array((left, top))))
+        object.__setattr__(self, "image_size", (whole.shape[1], whole.shape[0]))
         object.__setattr__(self, "hides", bool(hides))
         object.__setattr__(self, "sigma", sigma)
 
@@ -153,8 +143,8 @@ class Mask:
     @property
     def hiding(self) -> Mask:
         """The same as something that hides vehicles."""
-        other = object.__new__(Mask)
-        other._set(self.pixels, tuple(self.corner.tolist()), self.image_size, hides=True, sigma=self.sigma)
+        other = copy(self)
+        object.__setattr__(other, "hides", True)
         return other
 
     @cached_property

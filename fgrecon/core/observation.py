@@ -146,6 +146,16 @@ class Observation:
         left_out = (*self.left_out, f"{listed}: left out, {why}.")
         return replace(self, keypoints=np.where(keypoints[:, None], np.nan, self.keypoints), left_out=left_out)
 
+    def renamed(self, other: NDArray[np.intp]) -> Observation:
+        """The observation with each keypoint where another one (K,) was, by index; not measured where that is -1."""
+        there, index, covariance = other >= 0, np.maximum(other, 0), self.covariance
+        return replace(
+            self,
+            keypoints=np.where(there[:, None], self.keypoints[index], np.nan),
+            confidence=np.where(there, self.confidence[index], 0.0),
+            covariance=None if covariance is None else covariance[index],
+        )
+
     def scaled(self, ratio: NDArray[np.float64], size: tuple[int, int]) -> Observation:
         """The same in pixels of an image of another size, whose sides are longer by the ratio (2,)."""
         return replace(self, **scaled_pixels(self.keypoints, self.box, self.covariance, ratio), image_size=size)

@@ -18,8 +18,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
 from fgrecon.core.repr import brief_repr
 from fgrecon.core.result_fields import FIELDS, Regions, Status, read_fields
-from fgrecon.core.rounding import rounded_plain
-from fgrecon.core.serialise import as_arrow, as_pandas, plain
+from fgrecon.core.serialise import as_arrow, as_pandas, plain, rounded_plain
 
 if TYPE_CHECKING:
     from gtsam import Pose3
@@ -344,7 +343,7 @@ class Reconstruction:
 
         Args:
             compact: A few kilobytes, as in results files: without surface, history and graph, and with the digits of
-                `fgrecon.core.rounding`. Else everything, and numbers keep every bit.
+                `fgrecon.core.serialise`. Else everything, and numbers keep every bit.
             history: Keep history and graph in the compact form too, with every bit.
         """
         names = [name for name, f in FIELDS.items() if not (compact and f.large)]

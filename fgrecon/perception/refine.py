@@ -30,8 +30,8 @@ from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX, as_rgb8, large_enough, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, find_keypoints
 from fgrecon.solve.box_origin import contradicted_origin, on_bottom
+from fgrecon.solve.detected import refined
 from fgrecon.solve.inputs import as_ground
-from fgrecon.solve.refine import refined
 from fgrecon.solve.scene import reconstruct_scene
 
 

@@ -1,7 +1,8 @@
 """Contradictions between the caller's own factors, or ranges, and the images: how much worse these fit than without.
 
 Right ones bring an image from its minimum to the truth, which costs a few nats. Wrong ones cost more: they bring it to
-a pose that it does not show, or make the vehicle larger or smaller than such are.
+a pose that it does not show, or make the vehicle larger or smaller than such are. Keypoints contradict themselves where
+they fit better with left and right exchanged: of a mirrored image, or by the viewer's sides.
 """
 
 from __future__ import annotations
@@ -12,11 +13,14 @@ from statistics import median
 
 from factors.keys import decode_key
 from factors.vehicle_range import RangeFactor
-from fgrecon.core.input_warnings import FACTORS_CONTRADICT, RANGE_CONTRADICTS
+from fgrecon.core.errors import FgreconError
+from fgrecon.core.input_warnings import FACTORS_CONTRADICT, RANGE_CONTRADICTS, SETTINGS, fit_share
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.robust import StrategyName
 from fgrecon.solve.graph.graph import EXTRA, Graph, GraphObservation
 from fgrecon.solve.graph.optimise import Optimum, optimise
+from fgrecon.solve.proposals.pose_search import search_pose
+from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import STATUS
 from fgrecon.solve.weakness import weakened
 
@@ -101,3 +105,29 @@ def _energies(graph: Graph, optimum: Optimum, known: Collection[int]) -> list[fl
         image = sum(nats for name, nats in terms.items() if name != EXTRA and name not in shape) / part.share
         found.append(image + (0.0 if part.vehicle.number in known else sum(shape.values())))
     return found
+
+
+def with_mirrored_gain(result: Reconstruction, problem: Problem) -> Reconstruction:
+    """The result with what exchanging left and right gains, weak where that is much.
+
+    Args:
+        result: Of the vehicle by itself, or in a scene.
+        problem: What was solved.
+    """
+    observation = problem.observation
+    share = fit_share(observation, result.diagnostics.weights)
+    if observation.azimuth is not None or share is None or share >= SETTINGS.unmirrored_share:
+        return result
+    try:
+        exchanged = problem.showing(observation.renamed(problem.model.prior.category.mirror))
+        there = search_pose(exchanged)
+        gain = search_pose(problem).energy - there.energy
+    except FgreconError:
+        return result
+    after = fit_share(exchanged.observation, there.weights)
+    if after is None or after < SETTINGS.unmirrored_share:  # neither fits
+        return result
+    found = replace(result, diagnostics=replace(result.diagnostics, mirrored_gain=float(gain)))
+    if not gain > SETTINGS.mirrored_gain_nats:
+        return found
+    return weakened(found, [f"its keypoints fit better with left and right exchanged, by {gain:.0f} nats"])

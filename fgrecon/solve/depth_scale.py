@@ -3,7 +3,7 @@
 The ground says so where it is given, and else the vehicles of the image, each at the pose that the picture alone leads
 to. Both are crude: a vehicle's depth by a picture is off by some percent, and so is a plane by its pitch, as which what
 rises from it passes as well. So scale and shift are those that most samples agree on, and how unsure they are by pitch,
-roll and height of the plane goes on into the graph (`fgrecon.solve.graph.shared_errors`), whose vehicles, with all that
+roll and height of the plane goes on into the graph (`fgrecon.solve.graph.sensed_part`), whose vehicles, with all that
 is known of them, decide.
 """
 

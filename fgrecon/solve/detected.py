@@ -3,6 +3,7 @@
     detected origin, detected yaw --- X(v,t) --- keypoints, 2D box --- L(v), O(v) --- dimensions (of the box)
 
 The box's size takes the place of a fleet's. Which way the vehicle faces is decided apart (`fgrecon.solve.independent`).
+The solve refines the box (`refined`), which stays as it is where the image says little.
 """
 
 from __future__ import annotations
@@ -17,8 +18,11 @@ from factors.keys import X
 from factors.noise import diagonal_noise
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera
-from fgrecon.core.errors import DegenerateProblemError
+from fgrecon.core.errors import DegenerateProblemError, FgreconError
+from fgrecon.core.geometry import position_covariance
 from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import TRUSTED, Reconstruction
+from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.size_prior import LONGEST, SHORTEST, SIZES, SizePrior
 from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
@@ -73,3 +77,51 @@ class KnownBox:
         noise = diagonal_noise("box_errors", np.array([across, down, errors.depth]))
         key = X(vehicle, 0)
         return [detected_origin_factor(key, box.location, noise), detected_yaw_factor(key, box.rotation_y, errors.yaw)]
+
+
+def refined(given: Box3D, errors: BoxErrors, result: Reconstruction | None, error: FgreconError | None) -> RefinedBox:
+    """What becomes of a box.
+
+    Args:
+        errors: How far it is off.
+        result: The vehicle that was solved with it (`fgrecon.reconstruct_scene`), or None where it was refused.
+        error: Why it was refused, or None.
+    """
+    if result is None:
+        return RefinedBox(given, given, f"Unchanged: {error}")
+    weak = _weak(result) or _contradiction(given, errors, result)
+    covariance, size = result.uncertainty.pose_covariance, result.uncertainty.size_covariance
+    if weak is not None or covariance is None or size is None:
+        return RefinedBox(given, given, f"Unchanged: {weak or result.message}", result)
+    return RefinedBox(
+        given=given,
+        box=Box3D(result.location, result.rotation_y, result.box_size),
+        message=result.message,
+        result=result,
+        location_covariance=position_covariance(result.camera_T_object, covariance),
+        yaw_sigma=float(np.sqrt(covariance[1, 1])),
+        size_covariance=size,
+    )
+
+
+def _weak(result: Reconstruction) -> str | None:
+    """Why a result says nothing; None where it says something."""
+    if not result.status.determined:
+        return result.message
+    trusted = int(np.count_nonzero(result.diagnostics.weights >= TRUSTED))
+    return (
+        None
+        if trusted >= SCENE.refined_keypoints
+        else f"{trusted} keypoints are trusted; it takes {SCENE.refined_keypoints}."
+    )
+
+
+def _contradiction(given: Box3D, errors: BoxErrors, result: Reconstruction) -> str | None:
+    """What speaks against a result being the box's vehicle; None where nothing does."""
+    farther = float(result.location[2] / given.location[2]) - 1.0
+    if abs(farther) > SCENE.refined_contradiction_sigmas * errors.depth:
+        return f"The keypoints show it {100.0 * abs(farther):.0f} % {'farther' if farther > 0.0 else 'nearer'}."
+    off = abs(float(np.arctan(np.tan(result.rotation_y - given.rotation_y))))  # modulo half a turn
+    if off > SCENE.refined_contradiction_sigmas * errors.yaw:
+        return f"The keypoints show it turned by {np.rad2deg(off):.0f} degrees against the box."
+    return None

@@ -6,7 +6,7 @@ A van that is taken for a car comes out too near and too high, and would draw th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -17,20 +17,18 @@ from factors.marginals import Marginal
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FgreconError
-from fgrecon.core.evidence import Evidence
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.solve.claimed_points import TakenPlace, is_scanned, without_claimed
 from fgrecon.solve.class_filter import ClassBelief, with_model
 from fgrecon.solve.either_class import EitherClass, either_class, mean_weights
 from fgrecon.solve.fitted_class import FittedClass
-from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
 from fgrecon.solve.ground_filter import CameraFrame, KnownGround
 from fgrecon.solve.image_facing import estimate_pose_facing
+from fgrecon.solve.image_ground import GroundEvidence, ground_evidence
 from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.sensor_filter import SensorFilter
 from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.time.frame import Frame, FrameStep, seconds_from
 from fgrecon.solve.time.time_settings import SETTINGS as TIME
@@ -80,10 +78,6 @@ class FrameVehicles:
     def poses(self) -> list[Array]:
         """Pose (4, 4) of each that was looked at."""
         return [update.frame.pose.matrix() for update in self.updates.values()]
-
-    def update_sensors(self, sensors: SensorFilter, time: float, evidence: Sequence[Evidence]) -> SensorFilter:
-        """The filter of the sensors after the frame, see `SensorFilter.later`."""
-        return sensors.later(time, evidence, {name: (one.frame, one.shape) for name, one in self.updates.items()})
 
     def ground_evidence(self, known: Marginal, plane: Ground) -> GroundEvidence | None:
         """What those that were looked at say of the ground, of whichever class they are; see `ground_evidence`."""

@@ -6,7 +6,7 @@
 
 A camera nods, and the road bends; both change slowly, and in the long run the ground is as near to what is given as
 that says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated
-(`ground_evidence.py`), one factor from the ground before, and what is left of that. Vehicles that are seen again err
+(`image_ground.py`), one factor from the ground before, and what is left of that. Vehicles that are seen again err
 alike: they count by the time that has passed; what other cameras see at one time counts alike. How sure the ground is
 goes by a second chain, in which they count as their keypoints do for covariances. Where nothing is given the first
 vehicles say about where it is, nothing draws it back there, and it may change fast.
@@ -29,11 +29,9 @@ from factors.noise import full_noise
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FactorCallbackError
-from fgrecon.solve.ground_evidence import GroundEvidence
-from fgrecon.solve.image_ground import ground_spread, observed_ground, own_deviations
+from fgrecon.solve.image_ground import GroundEvidence, ground_spread, observed_ground, own_deviations
 from fgrecon.solve.solve_settings import GROUND_FILTER, ROAD, SCENE
-from fgrecon.solve.time.camera_drift import CameraDrift
-from fgrecon.solve.time.frame import seconds_from
+from fgrecon.solve.time.frame import CameraDrift, seconds_from
 from fgrecon.solve.time.time_settings import SETTINGS
 
 

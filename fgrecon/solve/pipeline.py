@@ -19,7 +19,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
-from fgrecon.solve.contradiction import with_contradictions
+from fgrecon.solve.contradiction import with_contradictions, with_mirrored_gain
 from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.either_class import with_either_class
 from fgrecon.solve.fitted_class import with_fitted_classes
@@ -35,7 +35,6 @@ from fgrecon.solve.inputs import (
     evidence_of,
     observe,
 )
-from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.result import results
 from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.threads import single_threaded

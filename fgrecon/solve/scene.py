@@ -39,7 +39,7 @@ from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.solve.box_check import boxes_off, boxes_warning
-from fgrecon.solve.contradiction import with_contradictions
+from fgrecon.solve.contradiction import with_contradictions, with_mirrored_gain
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.either_class import with_either_class
 from fgrecon.solve.focal import candidates, distinct_lengths, energies_of, focal_prior, log_ratio, starts
@@ -51,7 +51,6 @@ from fgrecon.solve.graph.vehicle_part import fleet_prior, is_any_fleets
 from fgrecon.solve.image_ground import ImageGround, observed_ground
 from fgrecon.solve.independent import IndependentSolve, IndependentVehicle, solve_independently
 from fgrecon.solve.inputs import SolveSetup, as_box_errors, as_boxes, as_extra_factors, check_frames, evidence_of
-from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.mutual_occlusion import with_occlusion
 from fgrecon.solve.result import Marginalised, marginalise, pose_history, results
 from fgrecon.solve.road_plane import ground_by_points

@@ -39,7 +39,7 @@ from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.text import most_frequent
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.core.vehicle_class import VehicleClass
-from fgrecon.solve.contradiction import with_contradictions
+from fgrecon.solve.contradiction import with_contradictions, with_mirrored_gain
 from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.either_class import either_class, mean_weights
 from fgrecon.solve.fitted_class import with_fitted_classes
@@ -48,7 +48,6 @@ from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.graph.records import graph_factors, joint_steps
 from fgrecon.solve.image_facing import single_pose
 from fgrecon.solve.inputs import SolveSetup, as_cameras, as_extra_factors, check_frames, evidence_of, observe
-from fgrecon.solve.mirrored import with_mirrored_gain
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.result import results
 from fgrecon.solve.road_plane import ground_by_points

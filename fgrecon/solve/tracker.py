@@ -57,8 +57,7 @@ from fgrecon.solve.road_plane import ground_by_points
 from fgrecon.solve.sensor_filter import SensorFilter
 from fgrecon.solve.solve_settings import GROUND_FILTER
 from fgrecon.solve.threads import single_threaded
-from fgrecon.solve.time.camera_drift import CameraDrift
-from fgrecon.solve.time.frame import Frame
+from fgrecon.solve.time.frame import CameraDrift, Frame
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle_filter import FilterModel
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, rate_gains, velocity_covariances
@@ -220,7 +219,8 @@ class Tracker:
             road, known, vehicles = road.later(frame, look)
             ground = ground if known is None else known.ground
         refused |= vehicles.refused
-        sensors = vehicles.update_sensors(self._sensors, frame.time, evidence)
+        looked = {name: (one.frame, one.shape) for name, one in vehicles.updates.items()}
+        sensors = self._sensors.later(frame.time, evidence, looked)
         grounded = None if "ground" in self._setup.options.disabled_terms else known
         tracks: dict[int, VehicleTrack] = {}
         for name, update in vehicles.updates.items():

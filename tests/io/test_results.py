@@ -13,8 +13,7 @@ from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.result_fields import FIELDS
-from fgrecon.core.rounding import DECIMALS, SIGNIFICANT, rounded, rounded_plain
-from fgrecon.core.serialise import plain
+from fgrecon.core.serialise import DECIMALS, SIGNIFICANT, plain, rounded, rounded_plain
 from fgrecon.io.catalogue import load_prior, save_prior
 from fgrecon.io.export import read_results
 from tests.cli.conftest import K, car

@@ -16,7 +16,7 @@ from fgrecon.core.reconstruction import Regions, Status, rotation_y
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.sample import disturbed_boxes
-from fgrecon.solve.refine import refined
+from fgrecon.solve.detected import refined
 from fgrecon.solve.scene import reconstruct_scene
 from fgrecon.solve.time.heading_filter import Belief, box_evidence
 from fgrecon.solve.vehicle.model import prepare, sized

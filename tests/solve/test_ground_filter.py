@@ -9,8 +9,8 @@ from factors.contact import GroundFrame
 from factors.keys import G
 from factors.marginals import Marginal
 from fgrecon.core.camera import Ground
-from fgrecon.solve.ground_evidence import GroundEvidence
 from fgrecon.solve.ground_filter import CameraFrame, GroundFilter
+from fgrecon.solve.image_ground import GroundEvidence
 from tests.solve.time.streets import CAMERA, PRIOR, seen, upright
 
 GROUND = 1.65

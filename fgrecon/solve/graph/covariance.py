@@ -169,7 +169,7 @@ def undetermined(graph: Graph, values: gtsam.Values, weights: Sequence[Weights])
         values: Its minimum.
         weights: Weights of each observation there.
     """
-    built = graph.for_covariances(weights)
+    built = graph.build(weights, for_covariances=True)
     factors = {number: gtsam.NonlinearFactorGraph() for number in graph.vehicles}
     for factor in map(built.at, range(built.size())):
         for number in set(map(_vehicle, factor.keys())):

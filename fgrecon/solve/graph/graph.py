@@ -27,8 +27,7 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
-from fgrecon.solve.graph.sensed_part import common_factor, sensed_of
-from fgrecon.solve.graph.shared_errors import SharedErrors
+from fgrecon.solve.graph.sensed_part import SharedErrors, common_factor, sensed_of
 from fgrecon.solve.graph.vehicle_part import ShapeValues, Terms, VehiclePart, is_any_fleets, vehicle_part
 from fgrecon.solve.proposals.problem import Problem
 
@@ -333,37 +332,30 @@ class Graph:
         for one in self.sensed:
             one.look(values, hold=hold)
 
-    def build(self, weights: Sequence[Weights], form: Form = Form.WEIGHTED) -> gtsam.NonlinearFactorGraph:
+    def build(
+        self, weights: Sequence[Weights], form: Form = Form.WEIGHTED, *, for_covariances: bool = False
+    ) -> gtsam.NonlinearFactorGraph:
         """All factors as GTSAM has them, with these weights until others are set.
 
         Args:
             weights: Weights of each observation.
             form: How a mixture is handed to the solver: with these weights, or with its loss and curvature.
+            for_covariances: Whether what other sensors say counts as it does for covariances.
         """
-        return self._built([*self._observed, *self._own, *self._sensed_factors, *self.extra], weights, form)
-
-    def _built(
-        self, factors: Iterable[gtsam.NonlinearFactor], weights: Sequence[Weights], form: Form, *, common: bool = False
-    ) -> gtsam.NonlinearFactorGraph:
         self._applied = None
         for part, weight in zip(self.observations, weights, strict=True):
             part.tell(weight, form)
         for one in self.sensed:
-            one.tell(form, common_factor(one) if common else 1.0)
+            one.tell(form, common_factor(one) if for_covariances else 1.0)
         graph = gtsam.NonlinearFactorGraph()
-        for factor in factors:
+        for factor in [*self._observed, *self._own, *self._sensed_factors, *self.extra]:
             graph.add(factor)
         return graph
-
-    def for_covariances(self, weights: Sequence[Weights]) -> gtsam.NonlinearFactorGraph:
-        """All factors with these weights, where what other sensors say counts as it does for covariances."""
-        every = [*self._observed, *self._own, *self._sensed_factors, *self.extra]
-        return self._built(every, weights, Form.WEIGHTED, common=True)
 
     def weighted(
         self, values: gtsam.Values, weights: Sequence[Weights], *, silent: str | None = None
     ) -> CompiledSystem | MixedSystem:
-        """The factors of `for_covariances` with these weights until others are set.
+        """The factors of `build` for covariances, with these weights until others are set.
 
         What other sensors say by the `silent` name counts for nothing.
         """

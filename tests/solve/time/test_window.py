@@ -8,8 +8,7 @@ import pytest
 
 import fgrecon
 from factors.noise import full_noise
-from fgrecon.solve.time.camera_drift import CameraDrift
-from fgrecon.solve.time.frame import FrameStep
+from fgrecon.solve.time.frame import CameraDrift, FrameStep
 from tests.solve.time.streets import CAMERA, seen, upright
 
 
