@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
@@ -24,7 +24,8 @@ def full_noise(field: str, covariance: ArrayLike) -> gtsam.noiseModel.Gaussian:
     matrix = finite_array(field, covariance, (None, None))
     try:
         np.linalg.cholesky(matrix)
-        alike = matrix.size > 0 and bool(_symmetric(matrix))
+        off = np.abs(matrix - matrix.T).max(initial=0.0)  # J S J' is symmetric but for rounding
+        alike = matrix.size > 0 and bool(off <= _ROUNDING * np.abs(matrix).max())
     except np.linalg.LinAlgError:
         alike = False
     if not alike:
@@ -54,17 +55,7 @@ def as_noise(field: str, noise: Noise, rows: int) -> gtsam.noiseModel.Base:
         if noise.dim() != rows:
             raise InvalidInputError(f"{field}.noise", f"dimension {noise.dim()}", f"Give a model of dimension {rows}.")
         return noise
-    return gtsam.noiseModel.Isotropic.Sigma(rows, _positive(f"{field}.noise", noise))
-
-
-def _symmetric(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether matrices (..., N, N) are symmetric but for rounding, as J S J' is."""
-    off = np.abs(matrices - matrices.swapaxes(-1, -2)).max(axis=(-2, -1))
-    return off <= _ROUNDING * np.abs(matrices).max(axis=(-2, -1))
-
-
-def _positive(field: str, value: float) -> float:
-    number = float(value)
-    if not (np.isfinite(number) and number > 0):
-        raise InvalidInputError(field, value, "Give a positive number.")
-    return number
+    sigma = float(noise)
+    if not (np.isfinite(sigma) and sigma > 0):
+        raise InvalidInputError(f"{field}.noise", noise, "Give a positive number.")
+    return gtsam.noiseModel.Isotropic.Sigma(rows, sigma)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.depth_map import DepthCalibration, DepthMap
     from fgrecon.core.detection import Detection
     from fgrecon.core.detector_calibration import DetectorCalibration
-    from fgrecon.core.evidence import Points, Range, RangeRate, StereoPair
+    from fgrecon.core.evidence import Points, Range, RangeRate, StereoPair, VehicleClass
     from fgrecon.core.mask import Mask
     from fgrecon.core.observation import Observation
     from fgrecon.core.options import BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
@@ -41,7 +41,6 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.shape_prior import ShapePrior, Surface
     from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
     from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
-    from fgrecon.core.vehicle_class import VehicleClass
     from fgrecon.core.vehicle_estimate import VehicleEstimate
     from fgrecon.io.catalogue import load_calibration, load_category, load_prior, save_calibration, save_prior
     from fgrecon.io.images import read_image

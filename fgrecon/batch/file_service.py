@@ -10,7 +10,7 @@ The results file has settings, and result or error of each vehicle (`docs/schema
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import metadata
@@ -23,8 +23,6 @@ from fgrecon.batch.solve_tasks import (
     Outcome,
     SolvedImage,
     fit_warnings,
-    grounds_of,
-    left_out_lines,
     solve_tasks,
     with_closest,
 )
@@ -60,38 +58,6 @@ FORMAT = f"fgrecon.reconstructions/{SCHEMA_VERSION}"
 def installed_version() -> str:
     """The version that results files state."""
     return metadata.version("fgrecon")
-
-
-def document(
-    path: Path,
-    outcomes: Sequence[Outcome],
-    settings: RunSettings,
-    images: Sequence[SolvedImage] = (),
-    photograph: Path | None = None,
-    *,
-    history: bool = False,
-    warnings: Sequence[str] = (),
-    left_out: Mapping[str, int] | None = None,
-) -> str:
-    """The JSON text of a run: settings, and result or error of every vehicle.
-
-    Args:
-        photograph: The image of vehicles of which the input does not say it, or None.
-        left_out: How many vehicles of the input, or boxes, were left out, by reason.
-    """
-    content = {
-        "format": FORMAT,
-        "schema_version": SCHEMA_VERSION,
-        "fgrecon": installed_version(),
-        "file": str(path),
-        "settings": settings_to_dict(settings)
-        | {"joint": settings.options.shape.joint, "free_offsets": settings.options.shape.free_offsets},
-        **({"warnings": list(warnings)} if warnings else {}),
-        **({"left_out": [{"reason": r, "count": n} for r, n in left_out.items()]} if left_out else {}),
-        **({"scenes": [image.to_dict() for image in images]} if images else {}),
-        "instances": [_entry(outcome, photograph, history=history) for outcome in outcomes],
-    }
-    return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
 
 
 def entry_of(
@@ -227,8 +193,9 @@ class SolvedFile:
 
     @property
     def grounds(self) -> dict[str | None, Ground | None]:
-        """The ground of each image, by its name."""
-        return grounds_of(self.read.tasks, self.settings, self.images)
+        """The ground of each image, by its name: the one estimated from its vehicles, or the given one."""
+        given = {task.instance.image: self.settings.ground for task in self.read.tasks}
+        return given | {one.image: one.result.ground for one in self.images}
 
     @property
     def ground(self) -> Ground | None:
@@ -250,7 +217,8 @@ class SolvedFile:
     @property
     def parts_left_out(self) -> list[str]:
         """What was left out of the vehicles' observations, and why."""
-        return left_out_lines(self.outcomes)
+        solved = ((one.name, one.result) for one in self.outcomes if one.result is not None)
+        return [f"{name}: {line}" for name, result in solved for line in result.diagnostics.left_out]
 
     @property
     def warnings(self) -> list[str]:
@@ -259,19 +227,25 @@ class SolvedFile:
         return [*lines, *self.contradictions, *self.focal_lengths[:1], *self.parts_left_out]
 
     def document(self, *, history: bool = False, warnings: Sequence[str] = (), path: Path | None = None) -> str:
-        """The results file; see `fgrecon.batch.file_service.document`."""
-        read = self.read
-        photograph = None if read.photograph is None else Path(read.photograph.name)
-        return document(
-            path or read.path,
-            self.outcomes,
-            self.settings,
-            self.images,
-            photograph,
-            history=history,
-            warnings=warnings,
-            left_out=read.left_out,
-        )
+        """The JSON text of the results file: settings, and result or error of every vehicle.
+
+        Args:
+            path: What the file is called there; None for what it is.
+        """
+        read, settings = self.read, self.settings
+        shape = settings.options.shape
+        content = {
+            "format": FORMAT,
+            "schema_version": SCHEMA_VERSION,
+            "fgrecon": installed_version(),
+            "file": str(path or read.path),
+            "settings": settings_to_dict(settings) | {"joint": shape.joint, "free_offsets": shape.free_offsets},
+            **({"warnings": list(warnings)} if warnings else {}),
+            **({"left_out": [{"reason": r, "count": n} for r, n in read.left_out.items()]} if read.left_out else {}),
+            **({"scenes": [image.to_dict() for image in self.images]} if self.images else {}),
+            "instances": [_entry(outcome, read.photograph, history=history) for outcome in self.outcomes],
+        }
+        return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
 
 
 def solve_file(read: ReadFile, request: FileRequest) -> SolvedFile:

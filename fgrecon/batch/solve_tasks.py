@@ -12,7 +12,7 @@ import numpy as np
 
 from fgrecon.batch.pool import WorkerDiedError, work
 from fgrecon.batch.vehicle_tasks import VehicleTask, Watch, unwatched
-from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.input_warnings import InputWarnings, summed_up
 from fgrecon.core.reconstruction import Reconstruction, Status
@@ -192,13 +192,6 @@ def _outcomes(tasks: Sequence[VehicleTask], scene: SceneReconstruction) -> list[
     return outcomes
 
 
-def grounds_of(
-    tasks: Iterable[VehicleTask], settings: RunSettings, images: Iterable[SolvedImage]
-) -> dict[str | None, Ground | None]:
-    """The ground of each image, by its name: the one estimated from its vehicles, or the given one."""
-    return {task.instance.image: settings.ground for task in tasks} | {s.image: s.result.ground for s in images}
-
-
 def with_closest(outcomes: Sequence[Outcome], models: Sequence[VehicleMesh]) -> list[Outcome]:
     """The outcomes, those with a pose and, where there are any models, with the closest of these.
 
@@ -221,16 +214,6 @@ def fit_warnings(outcomes: Iterable[Outcome]) -> list[str]:
         if outcome.result is not None and observation is not None:
             warnings.add_result(outcome.name, observation, outcome.result)
     return warnings.lines()
-
-
-def left_out_lines(outcomes: Iterable[Outcome]) -> list[str]:
-    """What was left out of the vehicles' observations, and why."""
-    return [
-        f"{outcome.name}: {line}"
-        for outcome in outcomes
-        if outcome.result is not None
-        for line in outcome.result.diagnostics.left_out
-    ]
 
 
 def check_any(path: Path, outcomes: Sequence[Outcome]) -> bool:

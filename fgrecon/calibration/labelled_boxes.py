@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fgrecon.core.arrays import Array
 from fgrecon.core.coverage import Coverage, Region, coverage
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import position_covariance, view_azimuth, yaw_rotation
+from fgrecon.core.geometry import position_covariance
 from fgrecon.core.metrics import orientation_error, translation_error, wrap_angle
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.io.kitti_files import DriveFrame, Objects
@@ -320,16 +320,6 @@ def matched(frame: DriveFrame, boxes: Objects, least: float) -> NDArray[np.int64
     without = np.flatnonzero(at < 0)
     at[without] = match_detections(labels.take(without), boxes, least, kind="Van")
     return at[np.isin(rows, wanted(frame))]
-
-
-def labelled_azimuth(rotation_y: float, location: Array) -> float:
-    """Direction from a vehicle to the camera, radians in [-pi, pi]: 0 ahead of it, pi / 2 to its left.
-
-    Args:
-        rotation_y: Yaw of the vehicle about the camera's y axis, radians.
-        location: (3,) its origin in the camera's frame, metres.
-    """
-    return float(view_azimuth(yaw_rotation(rotation_y), location))
 
 
 def view_of(azimuth: float) -> View:

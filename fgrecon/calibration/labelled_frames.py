@@ -22,7 +22,6 @@ from fgrecon.calibration.labelled_boxes import (
     SYSTEM,
     BoxOutcome,
     VideoBox,
-    labelled_azimuth,
     matched,
     outcome,
     wanted,
@@ -32,12 +31,13 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.choices import ClassScheme, ClassSource
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import VehicleClass
+from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.options import Options
 from fgrecon.core.processes import processes_with
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.export.dataset_results import kitti_text
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.images import read_image
@@ -301,7 +301,7 @@ def _scored(solved: ReconstructedFrame, vehicle: ReconstructedVehicle, others: M
     frame, index, one = solved.frame, vehicle.label, vehicle.found
     assert index is not None
     labels, offset, truth = frame.objects, frame.calibration.label_offset, solved.truth(vehicle)
-    azimuth = labelled_azimuth(truth.rotation_y, truth.location + offset)
+    azimuth = float(view_azimuth(yaw_rotation(truth.rotation_y), truth.location + offset))
     directions = one.detection.azimuth
     length, width, height = labels.size[index].tolist()
     return VideoBox(

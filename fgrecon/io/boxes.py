@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import VehicleClass
 from fgrecon.core.options import BoxModel
 from fgrecon.core.text import counted, one_word
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import class_of_kind
 from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import Fields, plain_id, read_json

@@ -34,9 +34,9 @@ from fgrecon.core.checks import as_instance, as_path
 from fgrecon.core.choices import ClassScheme
 from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import VehicleClass
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import SIZE_PRIORS, ClassOdds, ClassSizes, SizePrior, SizesLike, size_prior
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.arrays import read_arrays, write_arrays
 from fgrecon.io.files import check_hash, write_text
 from fgrecon.io.json_fields import Fields, parse_json, read_fields, within

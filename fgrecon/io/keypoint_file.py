@@ -41,8 +41,8 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.checks import one_word
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import VehicleClass
 from fgrecon.core.observation import Observation, scaled_pixels
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import class_of_kind
 from fgrecon.io.images import IMAGES, refuse_unread
 from fgrecon.io.json_fields import Fields, numbers, plain_id

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.checks import as_finite
 from fgrecon.core.choices import ClassSource
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import VehicleClass
 from fgrecon.core.geometry import box_overlaps
 from fgrecon.core.options import BoxModel, Options, checked_options
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.boxes import FileBoxes, NamedBox, boxes_in, names_images
 from fgrecon.perception.keypoints.detect import large_enough
 from fgrecon.perception.protocols import VehicleDetector, find_vehicles

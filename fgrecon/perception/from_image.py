@@ -15,12 +15,11 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite, as_flag, as_list, as_rows
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import AssumedCameraWarning, FgreconError, InvalidInputError
-from fgrecon.core.evidence import Evidence
+from fgrecon.core.evidence import Evidence, VehicleClass
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_photograph
 from fgrecon.perception.boxes import for_detected, large_vehicles

@@ -32,10 +32,10 @@ from fgrecon.core.checks import array_of
 from fgrecon.core.choices import ClassSource
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import VehicleClass
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel
 from fgrecon.core.text import one_word
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.boxes import COCO_CLASSES, YOLO_CLASSES, NamedBox
 from fgrecon.io.catalogue import class_of_kind
 from fgrecon.perception.vehicles import Vehicles

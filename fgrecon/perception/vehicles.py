@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from fgrecon.core.arrays import Array
 from fgrecon.core.checks import CORNERS, as_finite, check_corners, one_word, own
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import VehicleClass
 from fgrecon.core.geometry import box_overlaps
 from fgrecon.core.repr import brief_repr
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import shipped_class_sizes
 from fgrecon.io.files import check_hash, listed
 from fgrecon.io.isolated import Isolated

@@ -19,8 +19,8 @@ from dataclasses import dataclass, field, replace
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
+from fgrecon.core.evidence import VehicleClass
 from fgrecon.core.observation import Observation
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.image_facing import single_pose

@@ -19,7 +19,7 @@ from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_instance, as_list, as_rigid, as_shape
 from fgrecon.core.depth_map import DepthMap
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.evidence import Evidence, Points, Range, RangeRate, StereoPair, as_evidence
+from fgrecon.core.evidence import Evidence, Points, Range, RangeRate, StereoPair, VehicleClass, as_evidence
 from fgrecon.core.input_warnings import InputWarning, input_warning_of, strays
 from fgrecon.core.mask import Mask, of_vehicle
 from fgrecon.core.observation import KeypointsLike, Observation
@@ -27,7 +27,6 @@ from fgrecon.core.options import Options, checked_options
 from fgrecon.core.point_frames import check_points
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import ClassSizes, SizePrior, SizesLike, check_size, other_fleets
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import coarse_prior, load_prior, load_size_prior, shipped_class_sizes
 from fgrecon.io.lens_fields import scale_between
 from fgrecon.solve.proposals.point_term import measured_by

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_list
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
-from fgrecon.core.evidence import Evidence
+from fgrecon.core.evidence import Evidence, VehicleClass
 from fgrecon.core.history import Deferred
 from fgrecon.core.input_warnings import InputWarnings, warn_of
 from fgrecon.core.observation import Observation
@@ -38,7 +38,6 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.text import most_frequent
 from fgrecon.core.track_reconstruction import TrackReconstruction
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.solve.contradiction import with_contradictions, with_mirrored_gain
 from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.either_class import either_class, mean_weights

@@ -15,9 +15,9 @@ import numpy as np
 import pyarrow as pa
 
 from fgrecon.core.arrays import Array
+from fgrecon.core.evidence import VehicleClass
 from fgrecon.core.observation import Observation
 from fgrecon.core.text import whole_text
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.video.egomotion import CameraMotion
 
 FORMAT = "fgrecon.video/4"

@@ -9,11 +9,11 @@ import pytest
 from factors import X
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.evidence import VehicleClass
 from fgrecon.core.metrics import orientation_error
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import rotation_y
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.io.catalogue import load_prior
 from fgrecon.perception.from_image import (
     reconstruct_detection,

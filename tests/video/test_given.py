@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.vehicle_class import VehicleClass
+from fgrecon.core.evidence import VehicleClass
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.images import write_png
 from fgrecon.video import open_frames, read_given

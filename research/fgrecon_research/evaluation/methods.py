@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from fgrecon.calibration.labelled_frames import SceneKnowledge
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.evidence import VehicleClass
 from fgrecon.core.geometry import rigid
 from fgrecon.core.input_warnings import summed_up
 from fgrecon.core.observation import Observation
@@ -30,7 +31,6 @@ from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.robust import RobustStrategy, StrategyName, strategy
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.vehicle_class import VehicleClass
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.aspnp import aspnp
 from fgrecon.solve.vehicle.conditioning import of_fleet

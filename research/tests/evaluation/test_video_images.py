@@ -10,7 +10,6 @@ import pytest
 from fgrecon.calibration.labelled_boxes import (
     SYSTEM,
     View,
-    labelled_azimuth,
     view_of,
     wanted,
 )
@@ -18,6 +17,7 @@ from fgrecon.calibration.labelled_frames import Setup, score_frames
 from fgrecon.core.camera import Ground
 from fgrecon.core.detection import Detection, facing_probability
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_prior
@@ -194,7 +194,7 @@ def test_what_cannot_be_read_is_named(folder, setup, scene):
     [(FRONT, 0.0, "front"), (REAR, np.pi, "rear"), (0.0, -np.pi / 2, "side"), (np.pi, np.pi / 2, "side")],
 )
 def test_the_direction_to_the_camera(yaw, azimuth, view):
-    found = labelled_azimuth(yaw, np.array([0.0, 1.5, 9.0]))
+    found = float(view_azimuth(yaw_rotation(yaw), np.array([0.0, 1.5, 9.0])))
     assert np.cos(found - azimuth) == pytest.approx(1.0)
     assert view_of(found) == view
 
@@ -203,7 +203,7 @@ def test_the_direction_to_the_camera(yaw, azimuth, view):
 def test_the_direction_to_the_camera_is_the_poses(yaw):
     pose = pose_of(yaw, [5.0, 1.6, 8.0])
     x, _, z = -pose[:3, :3].T @ pose[:3, 3]
-    assert labelled_azimuth(yaw, pose[:3, 3]) == pytest.approx(np.arctan2(z, x))
+    assert view_azimuth(yaw_rotation(yaw), pose[:3, 3]) == pytest.approx(np.arctan2(z, x))
 
 
 def test_views_are_parted_at_45_degrees():
