@@ -261,18 +261,15 @@ class _Work:
             pixels = solved.read.source.image
             pixels = read_photograph(path)[0] if pixels is None else pixels
             screen.wrote(*draw(_with_ending(target, ".png"), outcomes, pixels, solved.grounds, sheet=False))
+        failed = InvalidInputError("image", str(path), "Solving failed on every vehicle.")
         try:
-            problem = None if check_any(path, outcomes) else outcomes[0].error or _all_failed(path)
+            problem = None if check_any(path, outcomes) else outcomes[0].error or failed
         except InvalidInputError as error:
             problem = error
         if problem is None:
             self.vehicles += sum(outcome.result is not None for outcome in outcomes)
         else:
             self.problems.append(f"{path}: {problem}")
-
-
-def _all_failed(path: Path) -> InvalidInputError:
-    return InvalidInputError("image", str(path), "Solving failed on every vehicle.")
 
 
 def _may_be_same(first: Camera, second: Camera) -> bool:

@@ -142,8 +142,5 @@ def _content(file: IO[bytes], kind: np.dtype[Any], count: int) -> NDArray[Any]:
 
 def _check_room(room: int, name: str, limit: int) -> None:
     if room > limit:
-        raise InvalidInputError(name, f"{room} bytes when unpacked", _raise_it(limit))
-
-
-def _raise_it(limit: int) -> str:
-    return f"Give a smaller file; {limit} bytes are allowed, and the environment variable {LARGEST} raises that."
+        fix = f"Give a smaller file; {limit} bytes are allowed, and the environment variable {LARGEST} raises that."
+        raise InvalidInputError(name, f"{room} bytes when unpacked", fix)

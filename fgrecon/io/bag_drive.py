@@ -257,7 +257,8 @@ def open_bag_drive(source: str | Path, *, choice: Choice | None = None, lidar: L
     if not times:
         raise InvalidInputError("source", f"{path}: {topic}", "Give a topic with messages.")
     warnings = [] if any(index.stamps[topic]) else [f"{topic}: no header has a time; those of the recording are taken."]
-    taken = [i for i, time in enumerate(times) if _takes(choice, i, (time - times[0]) / NANO)]
+    passed = [(time - times[0]) / NANO for time in times]
+    taken = [i for i, seconds in enumerate(passed) if choice.takes(i, seconds) and not choice.ends(seconds)]
     if not taken:
         raise InvalidInputError(
             "start", choice.start, f"Give less: the frames last {(times[-1] - times[0]) / NANO:g} seconds."
@@ -266,10 +267,6 @@ def open_bag_drive(source: str | Path, *, choice: Choice | None = None, lidar: L
     first = bag.message(topic, index.first[topic])
     frame = frame_name(first.header.frame_id if hasattr(first, "header") else first.frame_id)
     return BagDrive(frames, tuple(times), tuple(index.recorded[topic]), frame, warnings, index)
-
-
-def _takes(choice: Choice, place: int, passed: float) -> bool:
-    return choice.takes(place, passed) and not choice.ends(passed)
 
 
 def _indexed(bag: Bag, timed: set[str]) -> _Index:

@@ -201,7 +201,9 @@ def scale_between(stated: Size | None, actual: Size | None, field: str, *, scale
         InvalidInputError: The sizes differ by more than rows and columns that were cut off, and scaling is not
             requested, or the shapes differ; names both sizes.
     """
-    if stated is None or actual is None or same_image_size(stated, actual):
+    if stated is None or actual is None:
+        return _SAME
+    if np.abs(np.divide(stated, actual) - 1.0).max() <= CUT_OFF:  # one image, of which some rows may be cut off
         return _SAME
     ratios = actual[0] / stated[0], actual[1] / stated[1]
     same_shape = _is_scaled(stated, actual)
@@ -214,11 +216,6 @@ def scale_between(stated: Size | None, actual: Size | None, field: str, *, scale
         else f"{whose}: give keypoints and boxes in its pixels, or the camera of that image."
     )
     raise InvalidInputError(field, f"an image of {stated[0]} x {stated[1]} pixels", fix)
-
-
-def same_image_size(stated: Size, actual: Size) -> bool:
-    """Whether two sizes are of one image, of which some rows and columns may be cut off."""
-    return bool(np.abs(np.divide(stated, actual) - 1.0).max() <= CUT_OFF)
 
 
 def _is_scaled(one: Size, other: Size) -> bool:

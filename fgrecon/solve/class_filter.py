@@ -62,11 +62,6 @@ class ClassBelief:
         off = max(abs(value - self.modelled.get(name, 0.0)) for name, value in self.probability.items())
         return off > SETTINGS.class_change
 
-    @property
-    def renewed(self) -> ClassBelief:
-        """With a model that is made for it."""
-        return replace(self, modelled=self.probability)
-
 
 def _without(classes: Mapping[str, float], odds: Mapping[str, float]) -> Mapping[str, float]:
     """Probabilities without the log weights that some of them were made with."""

@@ -206,7 +206,7 @@ def _as_class(
     vehicle, belief = track.vehicle, _belief(classes, track, observation, frame)
     before = model = vehicle.past[-1].problem.model
     if belief is not None and belief.outdated:
-        belief = belief.renewed
+        belief = replace(belief, modelled=belief.probability)
         model = setup.model_for(belief.probability)
     if model is not before or observation.evidence:
         known = ((one.problem.observation, one.problem.camera) for one in vehicle.frames)

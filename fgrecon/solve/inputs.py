@@ -347,9 +347,7 @@ def as_ground(ground: Ground | float | None) -> Ground | None:
     return _level(height)
 
 
-@lru_cache(maxsize=16)  # thousands of vehicles stand on one ground
-def _level(height: float) -> Ground:
-    return Ground.level(height)
+_level = lru_cache(maxsize=16)(Ground.level)  # thousands of vehicles stand on one ground
 
 
 def as_initial(initial: Box3D | float | None, prior: ShapePrior) -> Box3D | float | None:

@@ -27,12 +27,10 @@ class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # no types are installed
     """Plain values, and OpenCV's matrices as mappings."""
 
 
-def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
-    return loader.construct_mapping(node, deep=True)
-
-
 for _name in ("opencv-matrix", "opencv-nd-matrix"):
-    _Loader.add_constructor(f"tag:yaml.org,2002:{_name}", _opencv_matrix)
+    _Loader.add_constructor(
+        f"tag:yaml.org,2002:{_name}", lambda loader, node: loader.construct_mapping(node, deep=True)
+    )
 
 
 def read_storage(path: Path) -> Any:

@@ -18,7 +18,6 @@ from fgrecon.io.datasets.description import (
     Moment,
     Reader,
     WorldBox,
-    box_pose,
     drive_of,
     images_there,
 )
@@ -30,7 +29,6 @@ __all__ = [
     "DataSequence",
     "Moment",
     "WorldBox",
-    "box_pose",
     "data_set_of",
     "has_drive",
     "is_data_set",

@@ -62,14 +62,6 @@ class WorldBox:
         return pose
 
 
-def box_pose(world_T_object: Array, size: Array) -> Array:
-    """(4, 4) of a box's centre and its axes forward, left, up, from the pose of its object frame."""
-    pose = world_T_object.copy()
-    pose[:3, 3] -= world_T_object[:3, 1] * size[2] / 2.0
-    pose[:3, :3] = world_T_object[:3, :3] @ FORWARD_LEFT_UP
-    return pose
-
-
 @dataclass(frozen=True, eq=False)
 class Sweep:
     """A scan of a LiDAR: its file, and (4, 4) pose in the world of the frame that its points are in."""

@@ -63,10 +63,11 @@ class ObservationPart:
 
     Attributes:
         problem: What is given.
-        vehicle: The vehicle.
+        vehicle: The vehicle's part of the same graph.
         image: Number of the image in the keys.
         share: Factor on the energy of all its terms.
         pose_key: Key of camera_T_object, or None where it is a constant.
+        focal_key: Key of the focal length, or None where that is one.
         keys: Keys of its variables: its pose, those of the shape, the focal length, as far as they are variables.
         compiled: The compiled rows of all terms with their variables; None where there are none, the focal length is a
             variable, or all are constants.
@@ -86,10 +87,8 @@ class ObservationPart:
         """Prepare the part.
 
         Args:
-            vehicle: The vehicle's part of the same graph.
             pose: camera_T_object, the constant where it is not free.
             pose_free: Whether the pose is a variable.
-            image: Number of the image in the keys.
             share: Share of its information that the observation has for the graph: less than 1 where other images of
                 the vehicle err alike.
             focal_free: Whether the focal length is a variable, common to all vehicles of the image.
@@ -97,9 +96,9 @@ class ObservationPart:
         self.problem, self.vehicle, self.image, self.share = problem, vehicle, image, share
         self.pose_key = X(vehicle.number, image) if pose_free else None
         self._pose = pose
-        self._focal_key = F(image) if focal_free else None
-        self.keys = tuple([key for key in (self.pose_key, *vehicle.shape.keys, self._focal_key) if key is not None])
-        self._compiled = problem.energy.compiled if self._focal_key is None else None
+        self.focal_key = F(image) if focal_free else None
+        self.keys = tuple([key for key in (self.pose_key, *vehicle.shape.keys, self.focal_key) if key is not None])
+        self._compiled = problem.energy.compiled if self.focal_key is None else None
         self._strategy = problem.energy.keypoints.strategy
         self._mixture = self._strategy.name is StrategyName.MIXTURE
         self._last: _Assessed | None = None
@@ -111,11 +110,6 @@ class ObservationPart:
             at = packed_pose(pose.matrix()) if self.pose_key is None else self.pose_key
             self.compiled = CompiledRows(image, (at, *vehicle.shape.bound))
 
-    @property
-    def has_free_focal(self) -> bool:
-        """Whether the focal length is a variable."""
-        return self._focal_key is not None
-
     @cached_property
     def kernel(self) -> ProjectionKernel:
         """Projection of the keypoints."""
@@ -123,7 +117,7 @@ class ObservationPart:
 
     def _projection(self, shape: LinearShape) -> ProjectionKernel:
         bound = self._pose if self.pose_key is None else self.pose_key
-        return ProjectionKernel(shape, self.problem.camera.matrix, bound, self._focal_key)
+        return ProjectionKernel(shape, self.problem.camera.matrix, bound, self.focal_key)
 
     @cached_property
     def _outline(self) -> ProjectionKernel | None:
@@ -314,7 +308,7 @@ class ObservationPart:
 
     def camera(self, values: gtsam.Values) -> Camera:
         """The camera at the values."""
-        if self._focal_key is None:
+        if self.focal_key is None:
             return self.problem.camera
         return replace(self.problem.camera, matrix=self.kernel.matrix(values))
 

@@ -107,7 +107,7 @@ def sensed_of(part: ObservationPart, shared: SharedErrors) -> list[SensedFactor]
             if isinstance(one, Range):
                 rows = RangeRows(one.metres, one.sigma, one.origin, *size, to_centre=one.to_centre)
                 found.append(RangeFactor(rows, pose, coefficients))
-    if not part.has_free_focal:
+    if part.focal_key is None:
         masks = part.problem.energy.masks
         found += [SilhouetteFactor(one.rows, pose, coefficients, part.share) for one in masks]
     return found

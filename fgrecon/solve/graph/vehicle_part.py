@@ -49,7 +49,6 @@ class VehiclePart:
         number: Number of the vehicle in the keys.
         shape: The keypoints as a function of lambda and the offsets.
         coefficients: Key of lambda, or its value where it is held.
-        alone: The system of one image of it and nothing else; the next image's differs in that one's rows alone.
     """
 
     def __init__(
@@ -64,8 +63,6 @@ class VehiclePart:
         """Prepare the part.
 
         Args:
-            model: The prepared prior.
-            number: Number of the vehicle in the keys.
             held: Lambda (N,) and offsets (K, 3) where the shape is a constant.
             of_fleet: Whether the prior on lambda is about the mean of a fleet S, which is a variable of the graph.
         """
