@@ -257,12 +257,7 @@ def open_bag_drive(source: str | Path, *, choice: Choice | None = None, lidar: L
     if not times:
         raise InvalidInputError("source", f"{path}: {topic}", "Give a topic with messages.")
     warnings = [] if any(index.stamps[topic]) else [f"{topic}: no header has a time; those of the recording are taken."]
-    passed = [(time - times[0]) / NANO for time in times]
-    taken = [i for i, seconds in enumerate(passed) if choice.takes(i, seconds) and not choice.ends(seconds)]
-    if not taken:
-        raise InvalidInputError(
-            "start", choice.start, f"Give less: the frames last {(times[-1] - times[0]) / NANO:g} seconds."
-        )
+    taken = choice.chosen([(time - times[0]) / NANO for time in times])
     frames = BagFrames(bag, topic, tuple(taken), tuple(times[i] / NANO for i in taken))
     first = bag.message(topic, index.first[topic])
     frame = frame_name(first.header.frame_id if hasattr(first, "header") else first.frame_id)

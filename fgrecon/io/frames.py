@@ -153,7 +153,7 @@ def numbered_frames(
     _check_rate(rate)
     ordered = sorted(numbers)
     seconds, assumed = times_of(ordered, None if times is None else [times[number] for number in ordered], rate)
-    taken = _taken(seconds, choice)
+    taken = choice.chosen([time - seconds[0] for time in seconds])
     return NumberedFrames(path, tuple(ordered[i] for i in taken), tuple(seconds[i] for i in taken), assumed)
 
 
@@ -196,7 +196,7 @@ def timed_frames(paths: Sequence[Path], times: Sequence[float], choice: Choice) 
 def _chosen(found: OrderedImages, rate: float | None, choice: Choice) -> ImageFrames:
     names = distinct_names(found.paths)
     times, assumed = times_of(found.numbers, found.times, rate)
-    taken = _taken(times, choice)
+    taken = choice.chosen([time - times[0] for time in times])
     return ImageFrames(
         tuple(found.paths[i] for i in taken),
         tuple(names[i] for i in taken),
@@ -206,12 +206,3 @@ def _chosen(found: OrderedImages, rate: float | None, choice: Choice) -> ImageFr
         assumed,
         frozenset(found.numbers).difference(found.numbers[i] for i in taken),
     )
-
-
-def _taken(times: Sequence[float], choice: Choice) -> list[int]:
-    """Which frames are taken, by their place."""
-    passed = [time - times[0] for time in times]
-    taken = [place for place, time in enumerate(passed) if choice.takes(place, time) and not choice.ends(time)]
-    if not taken:
-        raise InvalidInputError("start", choice.start, f"Give less: the frames last {passed[-1]:g} seconds.")
-    return taken

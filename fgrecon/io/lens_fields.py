@@ -103,6 +103,18 @@ def read_lens(fields: Fields) -> dict[str, Any]:
     return {} if coefficients is None else {"distortion": coefficients, "distortion_model": model}
 
 
+def listed_numbers(fields: Fields, field: str) -> tuple[list[Any], str]:
+    """The numbers of a field, which is a list or one of them, or has these in `data`, and what to call them."""
+    value, place = fields.data[field], f"{fields.where}{field}"
+    if isinstance(value, Mapping):
+        value, place = value.get("data"), f"{place}.data"
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        value = [value]
+    if not isinstance(value, list):
+        raise InvalidInputError(place, "nothing" if value is None else value, "Give a list of numbers.")
+    return value, place
+
+
 def _coefficients(fields: Fields) -> NDArray[np.float64] | None:
     """The coefficients (N,) of whatever lens; None where no field has any."""
     found = _named(fields.data, DISTORTION)
@@ -110,13 +122,7 @@ def _coefficients(fields: Fields) -> NDArray[np.float64] | None:
         return None
     if len(found) > 1:
         raise InvalidInputError(f"{fields.where}{found[1]}", "a second lens", f"Give it or {found[0]}.")
-    values, place = fields.data[found[0]], f"{fields.where}{found[0]}"
-    if isinstance(values, Mapping):
-        values, place = values.get("data"), f"{place}.data"
-    if isinstance(values, int | float) and not isinstance(values, bool):
-        values = [values]
-    if not isinstance(values, list):
-        raise InvalidInputError(place, "nothing" if values is None else values, "Give a list of numbers.")
+    values, place = listed_numbers(fields, found[0])
     flat = [as_number(x) for value in values for x in (value if isinstance(value, list) else [value])]
     return numbers(flat, (len(flat),), place) if flat else None
 

@@ -83,6 +83,13 @@ class Choice:
         """Whether none is taken any more, so many seconds after the first frame."""
         return self.end is not None and seconds >= self.end
 
+    def chosen(self, passed: Sequence[float]) -> list[int]:
+        """Places of the frames that are taken, by how many seconds after the first one each is."""
+        taken = [place for place, seconds in enumerate(passed) if self.takes(place, seconds) and not self.ends(seconds)]
+        if not taken:
+            raise InvalidInputError("start", self.start, f"Give less: the frames last {passed[-1]:g} seconds.")
+        return taken
+
 
 DEFAULT_RATE = 10.0
 """Frames per second of images whose names tell no time, where nobody says."""

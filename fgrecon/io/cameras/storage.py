@@ -15,7 +15,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import Fields, numbers, within
-from fgrecon.io.lens_fields import as_number, check_unused, read_lens, read_size
+from fgrecon.io.lens_fields import as_number, check_unused, listed_numbers, read_lens, read_size
 
 _MATRIX = "camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k", "intrinsic_matrix"
 _PROJECTION = "projection_matrix", "P", "p"
@@ -110,22 +110,11 @@ def _matrix(fields: Fields, names: tuple[str, ...], shape: tuple[int, int]) -> N
     if field is None:
         known = "camera_matrix" if names is _MATRIX else names[0]
         raise InvalidInputError(f"{fields.where}{known}", "nothing", "Give a calibration of ROS or OpenCV.")
-    values, place = _values(fields, field)
+    listed, place = listed_numbers(fields, field)
+    values = [as_number(item) for item in listed]
     if any(isinstance(row, list) for row in values):
         return numbers(values, shape, place)
     return numbers(values, (shape[0] * shape[1],), place).reshape(shape)
-
-
-def _values(fields: Fields, field: str) -> tuple[list[Any], str]:
-    """The numbers of a matrix, which is a list or has one in `data`, and what to call them."""
-    value, place = fields.data[field], f"{fields.where}{field}"
-    if isinstance(value, Mapping):
-        value, place = value.get("data"), f"{place}.data"
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        value = [value]
-    if not isinstance(value, list):
-        raise InvalidInputError(place, "nothing" if value is None else value, "Give a list of numbers.")
-    return [as_number(item) for item in value], place
 
 
 def _check_whole_image(fields: Fields) -> None:
