@@ -20,6 +20,7 @@ import numpy as np
 from factors.arrays import Array
 from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
+from factors.system import ordering_of
 
 _DAMPED = 1e-9  # of the diagonal of what is eliminated: directions that nothing determines
 _NOTHING = 1e-12  # share of the largest information below which a direction has none
@@ -59,10 +60,7 @@ def marginal(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, leaving: S
     """
     staying = sorted(graph.keyVector(), key=int)
     staying = [key for key in staying if key not in leaving]
-    ordering = gtsam.Ordering()
-    for key in (*leaving, *staying):
-        ordering.push_back(key)
-    information, linear = graph.linearize(values).hessian(ordering)
+    information, linear = graph.linearize(values).hessian(ordering_of([*leaving, *staying]))
     zero = values.zeroVectors()
     dims = tuple(len(zero.at(key)) for key in staying)
     cut = len(linear) - sum(dims)

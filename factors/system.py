@@ -223,7 +223,7 @@ class MixedSystem(_System):
 
     def information(self, point: gtsam.Values) -> Array:
         """(D, D) of the linear graph at a point, in the order of a step."""
-        return self.linear(point)[0].hessian(_ordering(self.places))[0]
+        return self.linear(point)[0].hessian(ordering_of(self.places))[0]
 
     def error(self, point: gtsam.Values) -> float:
         """Energy of all factors of the first graph at a point, nats."""
@@ -345,7 +345,8 @@ def packed_plane(plane: gtsam.OrientedPlane3) -> Array:
     return np.concatenate([plane.planeCoefficients(), plane.normal().basis().ravel()])
 
 
-def _ordering(keys: Iterable[int]) -> gtsam.Ordering:
+def ordering_of(keys: Iterable[int]) -> gtsam.Ordering:
+    """The variables in an order of elimination."""
     ordering = gtsam.Ordering()
     for key in keys:
         ordering.push_back(key)

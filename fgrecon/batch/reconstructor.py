@@ -38,7 +38,7 @@ from fgrecon.io.keypoint_file import Instance
 from fgrecon.io.keypoints.any_keypoints import parse_any_keypoints
 from fgrecon.io.keypoints.names import Names, NamesLike, parse_names
 from fgrecon.io.run_settings import RunSettings
-from fgrecon.perception.boxes import GivenBoxes, boxes_by, with_detected_classes
+from fgrecon.perception.boxes import GivenBoxes, detected_boxes, with_detected_classes
 from fgrecon.perception.keypoints.detect import KeypointCascade, check_box, large_enough, shipped_cascade
 from fgrecon.perception.keypoints.sessions import at_most
 from fgrecon.perception.sensor_source import SensorSource
@@ -256,7 +256,7 @@ class Reconstructor:
             scale = self._scale_to_image
             found = source.in_file(_place(task), image, scale_to_image=scale, classes=self._classes)
         else:
-            return FileBoxes(boxes_by(detector, image, source.least_score))
+            return FileBoxes(detected_boxes(image, source.least_score, detector))
         if self._classes is not ClassSource.DETECTED:
             return found
         return replace(found, cars=with_detected_classes(found.cars, image, detector))

@@ -98,19 +98,19 @@ class GivenBoxes:
         return boxes_in(self.file, place, size, self.least_score, **how)
 
 
-def detected_boxes(image: NDArray[Any], least_score: float | None = None) -> list[NamedBox]:
+def detected_boxes(
+    image: NDArray[Any], least_score: float | None = None, detector: NanodetVehicleDetector | None = None
+) -> list[NamedBox]:
     """The cars that the detector of the package finds in an image (H, W, 3), by falling score: see `find_boxes`.
 
-    Boxes below `least_score` are left out; None for what suits the detector.
+    Args:
+        least_score: Boxes below are left out; None for what suits the detector.
+        detector: It, where it is loaded already.
 
     Raises:
         InvalidInputError: The image is none, or this installation has no detector.
     """
-    return boxes_by(NanodetVehicleDetector(), image, least_score)
-
-
-def boxes_by(detector: NanodetVehicleDetector, image: NDArray[Any], least_score: float | None = None) -> list[NamedBox]:
-    """The same by a detector that is loaded."""
+    detector = NanodetVehicleDetector() if detector is None else detector
     found = large_vehicles(image, detector if least_score is None else partial(detector, least_score=least_score))
     kinds = found.kinds or ("Car",) * len(found.boxes)  # what it looks for
     classes = found.classes or (None,) * len(found.boxes)

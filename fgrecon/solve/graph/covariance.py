@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.keys import decode_key
-from factors.system import CompiledSystem
+from factors.system import CompiledSystem, ordering_of
 from fgrecon.core.arrays import Array
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.graph import Graph
@@ -178,12 +178,9 @@ def undetermined(graph: Graph, values: gtsam.Values, weights: Sequence[Weights])
     dims = values.zeroVectors()
     undetermined_vehicles = set()
     for number, own in factors.items():
-        keys = sorted(own.keyVector(), key=lambda key: _vehicle(key) != number)
-        ordering = gtsam.Ordering()
-        for key in keys:  # the vehicle's own first
-            ordering.push_back(key)
+        keys = sorted(own.keyVector(), key=lambda key: _vehicle(key) != number)  # the vehicle's own first
         count = sum(len(dims.at(key)) for key in keys if _vehicle(key) == number)
-        information = np.linalg.eigvalsh(own.linearize(values).hessian(ordering)[0][:count, :count])
+        information = np.linalg.eigvalsh(own.linearize(values).hessian(ordering_of(keys))[0][:count, :count])
         if information[0] <= SETTINGS.undetermined_share * information[-1]:
             undetermined_vehicles.add(number)
     return undetermined_vehicles
