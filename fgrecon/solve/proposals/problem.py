@@ -22,7 +22,7 @@ from fgrecon.solve.proposals.point_term import POINTS_NAME, PointTerm, point_ter
 from fgrecon.solve.proposals.search import PoseEnergy
 from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import BoxTerm, DirectionTerm, GroundTerm, KeypointTerm, SizeTerm
-from fgrecon.solve.vehicle.model import VehicleModel
+from fgrecon.solve.vehicle.model import LinearPoints, VehicleModel
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Problem:
             self.energy,
             keypoints=replace(keypoints, mean=model.prior.mean, basis=model.prior.basis),
             visibility=model.visibility.lookup,
-            box=None if box is None else replace(box, mean=points.mean, basis=points.basis),
+            box=None if box is None else _box_about(points, self.camera, box.rows),
             size=_size_term(model, self.options),
         )
         return replace(self, model=model, energy=energy)
@@ -218,7 +218,11 @@ def box_term(
     if options.model is BoxModel.DETECTED:
         edges = edges - np.array(options.edges) * np.tile(edges[2:] - edges[:2], 2)
     rows = BoxRows(edges, used, sigma, float(outlier), SETTINGS.box_softness_sigmas * sigma)
-    return BoxTerm(points.mean, points.basis, camera.matrix, rows)
+    return _box_about(points, camera, rows)
+
+
+def _box_about(points: LinearPoints, camera: Camera, rows: BoxRows) -> BoxTerm:
+    return BoxTerm(points.mean, points.basis, camera.matrix, replace(rows, inside=rows.softness * points.inside))
 
 
 def _evidence(observation: Observation, covariance: Array) -> Evidence:

@@ -161,7 +161,7 @@ class BoxTerm:
             np.ascontiguousarray(self.mean),
             np.ascontiguousarray(self.basis).reshape(len(self.basis), 3 * len(self.mean)),
             _by_point(self.basis),
-            np.ascontiguousarray(rows.edges, dtype=np.float64),
+            np.ascontiguousarray(rows.soft_edges, dtype=np.float64),
             np.ascontiguousarray(rows.used).view(np.uint8),
             rows.sigma,
             rows.wrong,

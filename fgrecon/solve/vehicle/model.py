@@ -7,16 +7,26 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from factors.box import OUTWARD, soft_extents
 from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import box_around, yaw_rotation
 from fgrecon.core.options import BoxModel
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior, other_fleets
 from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle, of_fleet
 from fgrecon.solve.vehicle.visibility import VisibilityTable
 
-_OUTLINE_DIRECTIONS = 240
+_ALL_ROUND, _LEVEL, _UPWARDS = 60, 30, 60
+"""Directions of one half of a vehicle in which its outline is looked for: all round, level, nearly upright ones."""
+
+_UPWARDS_RADIANS = float(np.deg2rad(20.0))
+"""How far from the vertical upright ones are."""
+
+_VIEWS, _HEIGHT, _DISTANCE, _SOFTNESS = 24, 0.4, 5.0, 0.015
+"""Views in which soft extents are compared: how many, the camera's height and distance in lengths of the vehicle, and
+the softness as a share of the longer side."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +39,23 @@ class LinearPoints:
     def at(self, coefficients: Array) -> Array:
         """(P, 3) points at the coefficients (N,)."""
         return self.mean + np.tensordot(coefficients, self.basis, axes=1)
+
+    @cached_property
+    def inside(self) -> Array:
+        """(4,) softnesses by which soft extents of these points lie inside the hard ones, left, up, right, down.
+
+        The mean over views all round of the mean shape, as a car's camera has them.
+        """
+        found, length = [], np.ptp(self.mean, axis=0).max()
+        for angle in 2.0 * np.pi * np.arange(_VIEWS) / _VIEWS:
+            points = self.mean @ yaw_rotation(angle).T + length * np.array([0.0, _HEIGHT, _DISTANCE])
+            pixels = points[:, :2] / points[:, 2:]
+            hard = box_around(pixels)
+            softness = _SOFTNESS * float((hard[2:] - hard[:2]).max())
+            found.append(OUTWARD * (hard - soft_extents(pixels, softness)[0]) / softness)
+        left, up, right, down = np.mean(found, axis=0)
+        sides = 0.5 * (left + right)
+        return np.array([sides, up, sides, down])
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,13 +187,22 @@ def _model(
 def _outline(prior: ShapePrior) -> LinearPoints:
     """The surface vertices that are farthest in some direction: those that a tight box can touch.
 
-    Each direction is there with its mirror image, so that the mirrored image of a vehicle has its mirrored pose.
+    The edges of a level camera's image look in level and in nearly upright directions. Of these there are more: a roof
+    is flat, and each of its highest points that is left out makes it lower. Each direction is there with its mirror
+    image, so that the mirrored image of a vehicle has its mirrored pose.
     """
     assert prior.surface is not None
-    index = np.arange(_OUTLINE_DIRECTIONS // 2) + 0.5  # half a Fibonacci sphere: even and deterministic
-    side, angle = 1.0 - 2.0 * index / _OUTLINE_DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * index
-    radius = np.sqrt(1.0 - side**2)
-    half = np.stack([radius * np.cos(angle), radius * np.sin(angle), side])
+    angle = np.pi * (np.arange(_LEVEL) + 0.5) / _LEVEL
+    level = np.stack([np.cos(angle), np.zeros(_LEVEL), np.sin(angle)])
+    x, z, up = _directions(_UPWARDS, _UPWARDS_RADIANS)
+    half = np.hstack([_directions(_ALL_ROUND, np.pi / 2), level, np.stack([x, -up, z])])
     directions = np.hstack([half, half * [[1.0], [1.0], [-1.0]]])
     chosen = np.unique((prior.surface.mean @ directions).argmax(axis=0))
     return LinearPoints(prior.surface.mean[chosen], prior.surface.basis[:, chosen])
+
+
+def _directions(count: int, widest: float) -> Array:
+    """Unit vectors (3, count) up to an angle in radians from the z axis: part of a Fibonacci sphere, which is even."""
+    index = np.arange(count) + 0.5
+    cosine, angle = 1.0 - (1.0 - np.cos(widest)) * index / count, np.pi * (1.0 + 5.0**0.5) * index
+    return np.vstack([np.sqrt(1.0 - cosine**2) * np.stack([np.cos(angle), np.sin(angle)]), cosine])

@@ -208,7 +208,7 @@ class Energy:
             outward = sign * pixels[:, edge % 2]
             share = np.exp((outward - outward.max()) / box.rows.softness)
             extent = sign * (share @ outward) / share.sum()
-            rows.append((extent - box.rows.edges[edge]) / box.rows.sigma)
+            rows.append((extent + sign * box.rows.inside[edge] - box.rows.edges[edge]) / box.rows.sigma)
         return np.array(rows)
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
+from fgrecon.core.geometry import box_around, transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options
 from fgrecon.core.size_prior import SIZE_PRIORS
@@ -140,6 +141,24 @@ def test_edges_on_the_images_border_say_nothing(prior, seen, box, used):
     observation = Observation(seen.keypoints, seen.confidence, box)
     assert build(prior, observation, camera=camera).box.rows.used.tolist() == used
     assert build(prior, observation).box.rows.used.all()  # of an unknown size nothing is known
+
+
+@pytest.mark.parametrize("model", [BoxModel.SURFACE, BoxModel.CUBOID])
+def test_exact_boxes_of_shapes_from_all_round_are_met_in_the_mean(prior, model):
+    """Soft extents lie inside hard ones by 0.4 standard deviations: made up for, or cars would be 1.5 % too near."""
+    rng, car, camera = np.random.default_rng(2), prepare(prior, SIZE_PRIORS["kitti"]), Camera(MATRIX)
+    off = []
+    for azimuth in np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False):
+        shape = rng.normal(size=car.prior.dimension)
+        pose = yaw_pose(azimuth, (rng.uniform(-4.0, 4.0), 1.65, rng.uniform(8.0, 40.0)))
+        points = car.prior.surface.vertices(shape) if model is BoxModel.SURFACE else car.corners.at(shape)
+        box = box_around(camera.project(transform(pose, points)))
+        observed = Observation(camera.project(transform(pose, car.prior.keypoints(shape))), np.ones(14), box)
+        term = box_term(observed, camera, car, BoxOptions(model=model))
+        h = Hypotheses(pose[None, :3, :3], pose[None, :3, 3], shape[None])
+        off.append(term.residuals(h)[0])
+    assert (np.abs(np.mean(off, axis=0)) < 0.1).all()
+    assert (np.std(off, axis=0) < 0.15).all()
 
 
 def test_one_place_is_degenerate(prior):
