@@ -62,7 +62,7 @@ def test_ranges_that_contradict_are_named_and_right_ones_are_not(approached):
     """By a vehicle alone, in a scene, in a track and over time; the distance is to the middle of its 3D box."""
     poses, images = approached
     middle = [float(np.linalg.norm(pose[:3, 3] - [0.0, 0.75, 0.0])) for pose in poses]
-    for times, named in ((1.0, False), (0.6, True)):
+    for times, named in ((1.0, False), (0.7, True)):
         given = [
             seen.with_evidence([fgrecon.Range(times * metres, 0.2, to_centre=True)])
             for seen, metres in zip(images, middle, strict=True)

@@ -325,7 +325,7 @@ def impossible(_values, _):
     "factor",
     [
         guarded_factor("never", 0.1, [X(0, 0)], [6], 1, impossible, allow_infinite=True),
-        distance(80.0, 0.1),
+        distance(60.0, 0.1),
     ],
     ids=["no energy", "another place"],
 )

@@ -127,7 +127,8 @@ def test_sizes_and_confidences_are_taken_in_every_usual_form(seen):
 
 
 scales = st.sampled_from([1e-3, 1.0, 30.0, 1e3, 1e6])
-pixels = arrays(np.float64, (14, 2), elements=st.floats(-1, 1) | st.just(np.nan))
+# Without a fill, which most of an array has: keypoints in one place are refused.
+pixels = arrays(np.float64, (14, 2), elements=st.floats(-1, 1) | st.just(np.nan), fill=st.nothing())
 confidences = st.none() | arrays(np.float64, 14, elements=st.floats(0, 1))
 boxes = st.none() | arrays(np.float64, 4, elements=st.floats(-2e3, 2e3)).map(
     lambda b: b[[0, 1, 0, 1]] + np.abs(b) * [0, 0, 1, 1]
@@ -195,7 +196,7 @@ def test_garbage_neither_kills_nor_fools():
     reconstruct_garbage()
     assert ends.count(InvalidInputError) > 5
     # Not all are refused at the door; how many depends on what modules are loaded, whose constants hypothesis draws.
-    assert any(isinstance(end, Status) for end in ends)
+    assert sum(isinstance(end, Status) for end in ends) > 5
 
 
 _CHILD = """

@@ -214,7 +214,7 @@ def test_rounding_decides_nothing():
 
     One of three such tracks may stand where two results are equally good, and rounding decides between them.
     """
-    unlike, apart = np.array([-8.0, 0.0, 0.0, 0.0, 0.0]), []
+    unlike, apart = np.array([-6.0, 0.0, 0.0, 0.0, 0.0]), []
     for seed in range(3):
         found = []
         for least in (0.0, 1e-9):
