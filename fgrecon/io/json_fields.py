@@ -216,4 +216,5 @@ def _number(value: Any, field: str) -> float:
             return float(value)
     except OverflowError:  # an integer beyond the range of floats
         pass
-    raise InvalidInputError(field, value, "Give a finite number.")
+    got = f'the text "{value}"' if isinstance(value, str) else value
+    raise InvalidInputError(field, got, "Give a finite number.")

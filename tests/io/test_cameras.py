@@ -111,7 +111,7 @@ def test_opencvs_fisheye(tmp_path):
     [
         ({"camera_matrix": None}, "camera_matrix: got nothing"),
         ({"camera_matrix": {"data": [1, 2]}}, r"camera_matrix\.data: got 2 elements"),
-        ({"camera_matrix": {"data": ["a"] * 9}}, r"camera_matrix\.data\[0\]: got a"),
+        ({"camera_matrix": {"data": ["a"] * 9}}, r'camera_matrix\.data\[0\]: got the text "a"'),
         ({"camera_matrix": {"data": [0] * 9}}, "intrinsics"),
         ({"distortion_coefficients": {"data": [1] * 7}}, "7 coefficients"),
         ({"image_width": 0.5}, "image_width"),

@@ -156,6 +156,10 @@ def test_masks_are_of_ids_or_of_coco(tmp_path: Path) -> None:
     again = SensorSource(masks=str(file)).evidence(Path("000004.jpg"))
     assert [mask.box.tolist() for mask in again] == [one.box.tolist(), other.box.tolist()]
     assert SensorSource(masks=str(file)).to_dict() == {"masks": str(file)}
+    del coco["annotations"][:2]
+    file.write_text(json.dumps(coco))
+    with pytest.raises(InvalidInputError, match=r"segmentation: got missing"):
+        SensorSource(masks=str(file)).evidence(Path("000004.jpg"))
     coco["annotations"] = [{"image_id": 7, "category_id": 3, "segmentation": {"size": [40, 60], "counts": [3]}}]
     file.write_text(json.dumps(coco))
     with pytest.raises(InvalidInputError, match=r"coco\.json: \[0\]\.segmentation"):

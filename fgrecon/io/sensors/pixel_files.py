@@ -140,8 +140,10 @@ def read_masks(file: Path, image: Path, size: tuple[int, int] | None = None) -> 
 
 
 def _of_coco(file: Path, image: Path, size: tuple[int, int] | None) -> list[Mask]:
-    found = []
-    for fields, stated in coco_entries(file, image):
+    found, entries = [], coco_entries(file, image)
+    if entries and not any("segmentation" in fields.data for fields, _ in entries):
+        raise InvalidInputError(f"{entries[0][0].where}segmentation", "missing", _MASK_FIX)
+    for fields, stated in entries:
         given = fields.data.get("segmentation")
         if not given:
             continue
