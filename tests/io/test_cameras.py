@@ -303,6 +303,18 @@ def test_the_lens_by_any_usual_name_beside_a_nested_matrix(tmp_path, name, size)
     assert camera.image_size == (960, 600)
 
 
+def test_focal_length_and_principal_point_by_name(tmp_path):
+    parts = {"fx": 700.0, "fy": 701, "cx": 600.5, "cy": 180.0}
+    (tmp_path / "c.json").write_text(json.dumps({**parts, "distortion": COEFFICIENTS, "width": 1242, "height": 375}))
+    camera = read_camera(tmp_path / "c.json").camera
+    assert camera.matrix.tolist() == [[700.0, 0.0, 600.5], [0.0, 701.0, 180.0], [0.0, 0.0, 1.0]]
+    assert (camera.distortion.tolist(), camera.image_size) == (COEFFICIENTS, (1242, 375))
+    del parts["cy"]
+    (tmp_path / "c.json").write_text(json.dumps(parts))
+    with pytest.raises(InvalidInputError, match=r"c\.json: cy: got None"):
+        read_camera(tmp_path / "c.json")
+
+
 @pytest.mark.parametrize(("model", "lens"), [("equidistant", "fisheye"), ("pinhole", "opencv"), ("yolov8n", "opencv")])
 def test_a_model_beside_the_numbers_is_that_of_the_lens_where_it_is_one(tmp_path, model, lens):
     (tmp_path / "front.json").write_text(json.dumps({"model": model, "K": NESTED, "D": COEFFICIENTS[:4], "rms": 0.3}))

@@ -19,6 +19,7 @@ from fgrecon.io.lens_fields import as_number, check_unused, listed_numbers, read
 
 _MATRIX = "camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k", "intrinsic_matrix"
 _PROJECTION = "projection_matrix", "P", "p"
+_PARTS = "fx", "fy", "cx", "cy"
 _MOST = 100_000
 _BAD_YAML = yaml.YAMLError, ValueError, TypeError, AttributeError, KeyError, IndexError, RecursionError
 
@@ -107,6 +108,9 @@ def _first(fields: Fields, names: Iterable[str]) -> str | None:
 
 def _matrix(fields: Fields, names: tuple[str, ...], shape: tuple[int, int]) -> NDArray[np.float64]:
     field = _first(fields, names)
+    if field is None and names is _MATRIX and any(part in fields for part in _PARTS):
+        fx, fy, cx, cy = (numbers(fields.data.get(part), (), f"{fields.where}{part}") for part in _PARTS)
+        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     if field is None:
         known = "camera_matrix" if names is _MATRIX else names[0]
         raise InvalidInputError(f"{fields.where}{known}", "nothing", "Give a calibration of ROS or OpenCV.")
