@@ -94,7 +94,7 @@ def test_a_vehicle_that_is_given_twice_is_named(images):
     ("ground", "size_prior", "furthest"), [(None, "kitti", 0.05), (Ground.of_height(6.0), None, 0.09)]
 )
 def test_a_roadside_camera_is_found(ground, size_prior, furthest):
-    """6 m up, 15 degrees down; given are sizes alone, or the height alone: cars are 7 % smaller than the prior's mean."""
+    """6 m up, 15 degrees down; given are sizes or the height alone: cars are 7 % smaller than the prior's mean."""
     tilts, heights, shares = [], [], []
     for seed in (3, 4, 5):
         poses, seen = street(seed, count=6, height=6.0, pitch=np.radians(15.0))
