@@ -155,13 +155,9 @@ class DepthMap:
 
     def metres(self, numbers: Array, calibration: DepthCalibration) -> Array:
         """Depths of numbers of the map in metres; NaN of what is nowhere before the camera."""
-        found = calibration.scale * numbers + calibration.shift
-        if self.shared_mean:
-            with np.errstate(divide="ignore"):
-                found = (found if self.inverse else 1.0 / found) + self.shared_mean
-        inverse = self.inverse or self.shared_mean != 0.0
-        safe = np.where(found > 0.0, found, np.nan)
-        return np.asarray(1.0 / safe if inverse else safe)
+        found, mean = calibration.scale * numbers + calibration.shift, self.shared_mean
+        above, below = (np.ones_like(found), found + mean) if self.inverse else (found, 1.0 + mean * found)
+        return np.asarray(above / np.where((above > 0.0) & (below > 0.0), below, np.nan))
 
     def times_too_far(self, box: NDArray[np.float64], metres: float) -> float | None:
         """How many times as far as a vehicle the pixels of a map in metres are; None where they may be its.

@@ -31,21 +31,26 @@ _SHAPE = "LOPM"
 
 
 def with_contradictions(
-    found: Sequence[Reconstruction],
-    ended: Ended,
-    without: Ended,
-    indices: Sequence[int] | None = None,
-    contradict: str = FACTORS_CONTRADICT,
+    found: Sequence[Reconstruction], ended: Ended, without: Ended | None = None, indices: Sequence[int] | None = None
 ) -> list[Reconstruction]:
     """The results, weak where factors of the caller's own, or ranges, contradict the images.
 
     Args:
-        found: Results of observations of a graph with such factors.
+        found: Results of observations of a graph.
         ended: That graph, and its end.
-        without: The graph of the same observations without the factors, and its end.
+        without: The graph of the same observations without the caller's factors, and its end; None where it has none.
         indices: Which observations the results are of; None for all.
-        contradict: Their name in the reason.
     """
+    every = range(len(ended[0].observations)) if indices is None else indices
+    if (no_ranges := _without_ranges(*ended)) is not None:
+        found = _contradicted(found, ended, no_ranges, every, RANGE_CONTRADICTS)
+    return [*found] if without is None else _contradicted(found, ended, without, every, FACTORS_CONTRADICT)
+
+
+def _contradicted(
+    found: Sequence[Reconstruction], ended: Ended, without: Ended, indices: Sequence[int], contradict: str
+) -> list[Reconstruction]:
+    """The results, weak where a graph's images fit worse than those of the graph without something, by its name."""
     graph = ended[0]
     if graph.options.strategy.name is not StrategyName.MIXTURE:  # other energies have outliers pull at poses
         return [*found]
@@ -56,7 +61,7 @@ def with_contradictions(
     vehicles = [part.vehicle.number for part in graph.observations]
     lost = [one - other for one, other in zip(with_them, alone, strict=True)]
     results = []
-    for i, result in zip(range(len(lost)) if indices is None else indices, found, strict=True):
+    for i, result in zip(indices, found, strict=True):
         usual = median(nats for nats, number in zip(lost, vehicles, strict=True) if number == vehicles[i])
         reason = ""
         if lost[i] > STATUS.contradicted_nats:
@@ -69,22 +74,18 @@ def with_contradictions(
     return results
 
 
-def with_contradicted_ranges(
-    found: Sequence[Reconstruction], ended: Ended, indices: Sequence[int]
-) -> list[Reconstruction]:
-    """The results of some observations of a graph, weak where ranges contradict the images."""
-    graph, optimum = ended
+def _without_ranges(graph: Graph, optimum: Optimum) -> Ended | None:
+    """A graph without its ranges, and its end; None where it has none, or failed."""
     name = RangeFactor.name
     if optimum.failure is not None or not any(name in graph.names_of(i) for i in range(len(graph.observations))):
-        return [*found]
+        return None
     options = replace(graph.options, disabled_terms=graph.options.disabled_terms | {name})
     parts = [
         GraphObservation(replace(part.problem, options=options), part.vehicle.number, part.image)
         for part in graph.observations
     ]
     alone = Graph(parts, optimum.state, pose_free=True, extra=graph.extra)
-    without = alone, optimise(alone, optimum.state)
-    return with_contradictions(found, ended, without, indices, RANGE_CONTRADICTS)
+    return alone, optimise(alone, optimum.state)
 
 
 def _vehicles_of_shape_factors(graph: Graph) -> set[int]:

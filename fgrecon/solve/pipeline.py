@@ -117,10 +117,8 @@ def reconstruct(
     parts = [GraphObservation(problem)]
     adjusted = minimise_from_proposals(parts, [pose], factors)
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (perf_counter() - posed) * 1e3}
-    result = results(parts, [pose], adjusted, milliseconds, factors)[0]
-    if factors:
-        alone = minimise_from_proposals(parts, [pose])
-        (result,) = with_contradictions([result], adjusted.ended, alone.ended)
+    alone = minimise_from_proposals(parts, [pose]).ended if factors else None
+    (result,) = with_contradictions(results(parts, [pose], adjusted, milliseconds, factors), adjusted.ended, alone)
     result = with_either_class(result, problem, setup, adjusted.optimum)
     result = with_mirrored_gain(result, problem)
     if observed.warning is None:

@@ -38,7 +38,6 @@ from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import LONGEST, SHORTEST
 from fgrecon.core.text import counted
 from fgrecon.solve.box_check import box_excess
-from fgrecon.solve.contradiction import with_contradicted_ranges
 from fgrecon.solve.graph.covariance import Covariances, Spread, covariance_of, marginals_of, read_covariances
 from fgrecon.solve.graph.graph import Graph, GraphObservation
 from fgrecon.solve.graph.multi_start import MultiStartResult
@@ -133,12 +132,11 @@ def results(
     found: list[Reconstruction] = []
     shapes: dict[int, Array] = {}
     without: dict[str, Spread | None] = {}  # what is known without a kind of evidence
-    if known.marginals is not None:
-        wanted = range(len(graph.observations)) if only is None else only
-        keys = None if only is None else _keys_of(graph, only)
-        for name in sorted({name for i in wanted for name in graph.names_of(i)}):
-            without[name] = marginals_of(graph, known.values, known.weights, keys, silent=name)
     indices = [i for i in range(len(parts)) if only is None or i in only]
+    if known.marginals is not None:
+        keys = None if only is None else _keys_of(graph, only)
+        for name in sorted({name for i in indices for name in graph.names_of(i)}):
+            without[name] = marginals_of(graph, known.values, known.weights, keys, silent=name)
     for i in indices:
         part, start = graph.observations[i], starts[i]
         uncertainty = read_covariances(part, known.weights[i], known.values, known.marginals, shapes)
@@ -158,7 +156,7 @@ def results(
             **_shared_errors(graph, known, i),
         }
         found.append(_result(end, diagnostics))
-    return with_contradicted_ranges(found, adjusted.ended, indices)
+    return found
 
 
 def _structure(graph: Graph, index: int, weights: Sequence[Weights]) -> Sequence[GraphFactor]:

@@ -316,7 +316,8 @@ def _scene_of_image(
 def _result(one: IndependentVehicle) -> Reconstruction:
     adjusted = replace(one.adjusted, alternatives=(one.alternatives(one.pose),))
     facing = one.facing(one.pose)
-    return results([GraphObservation(one.problem)], [one.start], adjusted, {}, one.box_factors(), facing=[facing])[0]
+    found = results([GraphObservation(one.problem)], [one.start], adjusted, {}, one.box_factors(), facing=[facing])
+    return with_contradictions(found, adjusted.ended)[0]
 
 
 def _solved(begun: Sequence[IndependentSolve], images: _Images) -> _Estimate | None:
@@ -341,12 +342,10 @@ def _solved(begun: Sequence[IndependentSolve], images: _Images) -> _Estimate | N
 
 
 def _contradicted(scene: _Estimate, best: _JointSolve, images: _Images, out: Collection[int]) -> _Estimate:
-    """The estimate, its vehicles weak where factors of the caller's own contradict the image."""
+    """The estimate, its vehicles weak where factors of the caller's own, or ranges, contradict the image."""
     alone = _solve_jointly(best.independent, images, out, own=False) if images.extra else None
-    if alone is None:
-        return scene
-    ends = (best.graph, best.optimum), (alone.graph, alone.optimum)
-    found = with_contradictions([*scene.results.values()], *ends)
+    without = None if alone is None else (alone.graph, alone.optimum)
+    found = with_contradictions([*scene.results.values()], (best.graph, best.optimum), without)
     return replace(scene, results=dict(zip(scene.results, found, strict=True)))
 
 

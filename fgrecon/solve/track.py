@@ -108,9 +108,8 @@ def reconstruct_track(
     adjusted = minimise_from_proposals(parts, starts, factors, in_order=in_order)
     milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
     frames = _with_either_class(results(parts, starts, adjusted, {}, factors), parts, setup)
-    if factors:
-        alone = minimise_from_proposals(parts, starts, in_order=in_order)
-        frames = with_contradictions(frames, adjusted.ended, alone.ended)
+    alone = minimise_from_proposals(parts, starts, in_order=in_order).ended if factors else None
+    frames = with_contradictions(frames, adjusted.ended, alone)
     frames = [with_mirrored_gain(one, part.problem) for part, one in zip(parts, frames, strict=True)]
     for part, one in zip(parts, frames, strict=True):
         warnings.add_result(f"image {part.image}", part.problem.observation, one)

@@ -391,9 +391,8 @@ def _estimates(
     reconstructions = results(
         solved.parts, solved.starts, adjusted, {}, solved.extra, only=frames, facing=by_frame, marginalised=known
     )
-    if solved.without is not None:
-        ends = adjusted.ended, solved.without.ended
-        reconstructions = with_contradictions(reconstructions, *ends, [*frames])
+    without = None if solved.without is None else solved.without.ended
+    reconstructions = with_contradictions(reconstructions, adjusted.ended, without, [*frames])
     if not single:
         pairs = zip(selected, reconstructions, strict=True)
         reconstructions = [with_facing_over_time(result, frame.given) for frame, result in pairs]
