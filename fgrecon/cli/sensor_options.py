@@ -48,6 +48,11 @@ class SensorOptions:
     depth_scale: DepthScale = option(
         "What a depth network's numbers are: metres, or to be scaled.", default=DepthScale.METRIC
     )
+    depth_per_metre: float | None = option(
+        "How many of their units are a metre: 1000 of millimetres, 5000 in TUM's RGB-D.",
+        metavar="NUMBER",
+        show_default="1; of png 256, as KITTI's",
+    )
     depth_inverse: bool = option("They are inverse depths, as disparities.", "--depth-inverse", default=False)
     right: str | None = option("Right images of pairs; KITTI's calibration has both cameras.", metavar=_FILES)
     right_pose: Path | None = option(

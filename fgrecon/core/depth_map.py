@@ -192,7 +192,7 @@ class DepthMap:
         usual = (float((_SIDE_M * camera.matrix.diagonal()[:2] / (box[2:] - box[:2])).max()) for box in boxes)
         found = [self.times_too_far(box, metres) or 1.0 for box, metres in zip(boxes, usual, strict=True)]
         if found and (times := float(np.median(found))) > _TOO_FAR:
-            fix = "Give metres; of PNG files 256 are one, so scale millimetres, or say `scale=scale` of unknown units."
+            fix = "Give metres: of PNG files 256 units are one unless --depth-per-metre says it; or say `scale=scale`."
             raise InvalidInputError(field, f"depths {times:.2g} times as far as vehicles look", fix)
 
     def along(self, row: NDArray[np.intp], column: NDArray[np.intp], metres: Array, scale: float) -> Array:

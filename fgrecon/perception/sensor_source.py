@@ -21,7 +21,7 @@ from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, calibration_beside, read_calibration
 from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes, sweep_of
 from fgrecon.io.poses import read_pose
-from fgrecon.io.sensors.pixel_files import DEPTHS, MASKS, read_depth, read_masks
+from fgrecon.io.sensors.pixel_files import DEPTHS, MASKS, as_per_metre, read_depth, read_masks
 from fgrecon.io.sensors.points import CLOUDS, NoPointError, Place, lidar_place, read_points
 from fgrecon.io.sensors.sensor_files import DataSetSweeps, SensorFiles
 from fgrecon.perception.stereo import stereo_depth
@@ -42,6 +42,7 @@ class SensorSource:
     depth: str | None = None  # depth maps, in the same way
     depth_scale: DepthScale = DepthScale.METRIC  # whether their numbers are metres
     depth_inverse: bool = False  # whether they are inverse depths
+    depth_per_metre: float | None = None  # how many of their units a metre is; None as `read_depth` has it
     right: str | None = None  # right images of pairs, in the same way; KITTI's calibration has both cameras
     right_camera: str | None = None  # the right camera, as `--camera` takes it; None for that of the calibration
     right_pose: Path | None = None  # file with the motion from the left camera's frame to the right one's
@@ -57,6 +58,13 @@ class SensorSource:
             raise InvalidInputError("right_pose", value, "Give the right images as well (--right).")
         if self.depth is None and (self.depth_inverse or self.depth_scale is not DepthScale.METRIC):
             raise InvalidInputError("depth_scale", self.depth_scale.value, "Give the depth maps as well (--depth).")
+        if self.depth_per_metre is not None:
+            units = as_per_metre(self.depth_per_metre)
+            if self.depth is None:
+                raise InvalidInputError("depth_per_metre", units, "Give the depth maps as well (--depth).")
+            if not self._metres:
+                fix = "Leave it out of inverse depths, and of maps whose scale is to be found (--depth-scale)."
+                raise InvalidInputError("depth_per_metre", units, fix)
         for files in self._files:
             files.all()
         if self._sweeps is not None and self.lidar_pose is not None:
@@ -76,7 +84,14 @@ class SensorSource:
             found["lidar_sigma"] = "{:g},{:g}".format(*self.lidar_sigma)
         if self.depth is not None:
             found |= {"depth_scale": self.depth_scale.value, "depth_inverse": str(self.depth_inverse).lower()}
+        if self.depth_per_metre is not None:
+            found["depth_per_metre"] = f"{self.depth_per_metre:g}"
         return found
+
+    @property
+    def _metres(self) -> bool:
+        """Whether depth maps are in metres, or known units of them."""
+        return self.depth_scale is DepthScale.METRIC and not self.depth_inverse
 
     @cached_property
     def _files(self) -> list[SensorFiles]:
@@ -118,8 +133,7 @@ class SensorSource:
             elif one.field == "masks":
                 found += read_masks(file, path)
             elif one.field == "depth":
-                per_metre = None if self.depth_scale is DepthScale.METRIC and not self.depth_inverse else 1.0
-                numbers = read_depth(file, per_metre)
+                numbers = read_depth(file, self.depth_per_metre if self._metres else 1.0)
                 found.append(DepthMap(numbers, scale=self.depth_scale, inverse=self.depth_inverse))
             else:
                 found.append(self._of_pair(path, file))

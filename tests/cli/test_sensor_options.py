@@ -51,12 +51,22 @@ def test_depth_maps_do_so_too_in_metres_or_not(sample, tmp_path):
     depth[row[inside], column[inside]] = points[inside, 2]
     np.save(tmp_path / "metres.npy", depth)
     np.save(tmp_path / "scaled.npy", 0.5 * depth)
+    np.save(tmp_path / "millimetres.npy", np.nan_to_num(1000.0 * depth).astype(np.uint32))
     given = "reconstruct", sample / "cars.json", "--image", sample / "street.png", "--json"
-    for name, more in (("metres", ()), ("scaled", ("--depth-scale", "scale", "--camera-height", "1.65"))):
+    for name, more in (
+        ("metres", ()),
+        ("millimetres", ("--depth-per-metre", 1000)),
+        ("scaled", ("--depth-scale", "scale", "--camera-height", "1.65")),
+    ):
         done = run(*given, tmp_path / f"{name}.json", "--depth", tmp_path / f"{name}.npy", *more)
         assert done.exit_code == 0, done.output
         for one in json.loads((tmp_path / f"{name}.json").read_text())["instances"]:
             assert one["result"]["evidence"]["depth"] > 1.0
+    places = [
+        [one["result"]["camera_T_object"] for one in json.loads((tmp_path / f"{name}.json").read_text())["instances"]]
+        for name in ("metres", "millimetres")
+    ]
+    np.testing.assert_allclose(*places, atol=0.02)  # the same but for what is less than a millimetre
     done = run("reconstruct", sample / "cars.json", "--depth-inverse")
     assert isinstance(done.exception, InvalidInputError)
     assert "--depth" in str(done.exception)

@@ -160,3 +160,6 @@ def test_what_is_no_depth_is_refused(tmp_path: Path) -> None:
         with pytest.raises(InvalidInputError, match=message):
             read_depth(tmp_path / name)
     np.testing.assert_array_equal(read_depth(tmp_path / "whole.npy", 1000.0), np.full((2, 2), 1.5))
+    for units in (0.0, -1000.0, np.nan, np.inf, 1e-300, "mm"):
+        with pytest.raises(InvalidInputError, match="depth_per_metre"):
+            read_depth(tmp_path / "whole.npy", units)

@@ -157,7 +157,7 @@ def test_a_map_by_which_vehicles_are_giants_is_refused(
     given = DepthMap(times * depth)
     with pytest.raises(InvalidInputError, match=r"^evidence\[0\]: got depths \S+ times as far as vehicles look"):
         reconstruct_scene(seen, CAMERA, evidence=[given], options=OPTIONS)
-    with pytest.raises(InvalidInputError, match="millimetres"):
+    with pytest.raises(InvalidInputError, match="--depth-per-metre"):
         reconstruct(seen[0], CAMERA, evidence=[given], options=OPTIONS)
 
 

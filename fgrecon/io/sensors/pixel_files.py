@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.arrays import Array
-from fgrecon.core.checks import as_path
+from fgrecon.core.checks import as_finite, as_path
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.core.mask import Mask
 from fgrecon.io.arrays import read_arrays, read_limited, read_lone_array
@@ -32,6 +32,7 @@ KITTI_PER_METRE = 256.0
 DEPTHS = (".png", ".npy", ".npz", ".tif", ".tiff", ".exr", ".pfm")
 """Endings of the files that are read."""
 
+_UNITS = 1e-3, 1e6  # of a metre: kilometres to micrometres
 _CHANNELS = ("Z", "Y", "R", "depth.Z", "Depth.Z")
 _FIX = "Give one number for each pixel: an array (H, W)."
 
@@ -45,10 +46,12 @@ def read_depth(path: str | Path, per_metre: float | None = None) -> Array:
 
     Raises:
         InvalidInputError: The file cannot be read, its ending means nothing, it is no map of one number for each
-            pixel, or has no depth at all.
+            pixel, or has no depth at all; or `per_metre` is none.
         MissingPackageError: The package that reads such files is not installed.
     """
     file = as_path("depth", path)
+    if per_metre is not None:
+        as_per_metre(per_metre)
     ending = file.suffix.lower()
     if ending not in DEPTHS:
         raise InvalidInputError("depth", str(file), f"Give a file that ends in {', '.join(DEPTHS)}.")
@@ -61,7 +64,9 @@ def read_depth(path: str | Path, per_metre: float | None = None) -> Array:
         fix = "Give 16 bits or more: a picture of a depth map, in 256 greys or colours, is none."
         raise InvalidInputError("depth", f"{file}: 8 bits", fix)
     if per_metre is None and numbers.dtype.kind in "iu" and ending != ".png":
-        fix = "Give metres, or say how many are a metre (`per_metre`), or that it is unknown (--depth-scale scale)."
+        fix = (
+            "Give metres, or say how many are a metre (--depth-per-metre), or that it is unknown (--depth-scale scale)."
+        )
         raise InvalidInputError("depth_per_metre", f"none, for {file.name}", fix)
     factor = per_metre or (KITTI_PER_METRE if ending == ".png" else 1.0)
     depth: Array = numbers.astype(np.float64) / factor
@@ -69,6 +74,19 @@ def read_depth(path: str | Path, per_metre: float | None = None) -> Array:
     if not measured.any():
         raise InvalidInputError("depth", str(file), "Give a map with a depth above 0.")
     return np.where(measured, depth, np.nan)
+
+
+def as_per_metre(given: float) -> float:
+    """How many units a metre is.
+
+    Raises:
+        InvalidInputError: It is no number, or of units beyond kilometres and micrometres.
+    """
+    fix = "Give how many of the depth files' units are a metre, such as 1000 of millimetres."
+    value = float(as_finite("depth_per_metre", given, (), fix))
+    if not _UNITS[0] <= value <= _UNITS[1]:
+        raise InvalidInputError("depth_per_metre", value, fix)
+    return value
 
 
 def _numbers(path: Path, ending: str) -> NDArray[Any]:
