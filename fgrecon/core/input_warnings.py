@@ -95,6 +95,8 @@ class InputWarning(StrEnum):
     """Factors of the caller's own contradict the image."""
     RANGE = "range"
     """A range contradicts the image."""
+    POINTS = "points"
+    """Measured points contradict the image."""
     DEPTH = "depth"
     """By a depth map it is where it is not."""
 
@@ -122,6 +124,8 @@ _SENTENCES = {
     "radians, in fgrecon's frames, and of this vehicle?",
     "range": "The range of {} contradicts its image. Is it in metres, from the sensor that `origin` says, and of this "
     "vehicle?",
+    "points": "Measured points put {} where its keypoints are not. Are they of this image's time, and in its camera's "
+    "frame?",
     "depth": "The depth map puts {} where it is not, and is not used. Are its numbers metres along the camera's axis, "
     "and of this image? Else say what they are: scale, scale_and_shift, inverse.",
 }
@@ -130,8 +134,14 @@ DEPTHS_ELSEWHERE = "depth: left out"
 """How `Diagnostics.left_out` begins to say so of a vehicle."""
 
 FACTORS_CONTRADICT, RANGE_CONTRADICTS = "factors of yours contradict", "its range contradicts"
+POINTS_CONTRADICT = "points on it contradict"
 """How a result's reason begins to say so."""
 
+_CONTRADICTIONS = {
+    FACTORS_CONTRADICT: InputWarning.FACTORS,
+    RANGE_CONTRADICTS: InputWarning.RANGE,
+    POINTS_CONTRADICT: InputWarning.POINTS,
+}
 
 REASONS = {
     InputWarning.PRINCIPAL_POINT: "the principal point of its camera is outside of the image",
@@ -149,6 +159,7 @@ _BEFORE = frozenset(InputWarning) - {
     InputWarning.AIR,
     InputWarning.FIT,
     InputWarning.FACTORS,
+    InputWarning.POINTS,
     InputWarning.DEPTH,
 }
 """What is warned of before a vehicle is solved, whose fit then says nothing more."""
@@ -359,7 +370,7 @@ def _check_rays(points: Array, camera: Camera) -> None:
 
 def result_warning_of(observation: Observation, result: Reconstruction) -> InputWarning | None:
     """What must be wrong with a vehicle's keypoints or its camera, if anything, by its result."""
-    for said, warning in ((FACTORS_CONTRADICT, InputWarning.FACTORS), (RANGE_CONTRADICTS, InputWarning.RANGE)):
+    for said, warning in _CONTRADICTIONS.items():
         if any(reason.startswith(said) for reason in result.reasons):
             return warning
     if result.diagnostics.mirrored_gain > SETTINGS.mirrored_gain_nats:

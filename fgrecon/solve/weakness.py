@@ -16,7 +16,7 @@ from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
-from fgrecon.core.input_warnings import REASONS, InputWarning, camera_warning_of, in_the_air
+from fgrecon.core.input_warnings import POINTS_CONTRADICT, REASONS, InputWarning, camera_warning_of, in_the_air
 from fgrecon.core.input_warnings import SETTINGS as INPUT_WARNINGS
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
@@ -52,6 +52,9 @@ def weaknesses(
     probable = float(observation.right[measured].mean()) if measured.any() else 0.0
     if probable < STATUS.right_keypoints and points < STATUS.carrying_keypoints * STATUS.points_a_keypoint:
         found.append(f"the detector holds {100 * probable:.0f} % of its keypoints right")
+    right = float(observation.right[measured].sum())
+    if points > 0.0 and weights.sum() < STATUS.fitting_keypoints * right:
+        found.append(f"{POINTS_CONTRADICT} its image: keypoints of weight {weights.sum():.1f} fit, of {right:.1f}")
     if camera.image_size is not None:
         outside = _outside(camera, camera_T_object, box_size)
         if outside > STATUS.outside_image:

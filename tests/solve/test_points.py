@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -20,6 +21,7 @@ from fgrecon import (
     Points,
     Reconstruction,
     SizePrior,
+    Status,
     Tracker,
     reconstruct,
     reconstruct_scene,
@@ -94,6 +96,21 @@ def test_points_tell_the_depth(yaw: float) -> None:
     assert covariance is not None
     assert before is not None
     assert np.trace(covariance[3:, 3:]) < 0.5 * np.trace(before[3:, 3:])
+
+
+@pytest.mark.parametrize("yaw", [-1.5, 0.4])
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (0.0, 0.0, 0.5), (-1.0, 0.0, 0.0), (2.0, 0.0, 0.0)])
+def test_a_vehicle_is_weak_where_points_put_it_beside_its_keypoints(yaw: float, shift: tuple[float, ...]) -> None:
+    observation, points = scanned(yaw, PLACE)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        found = reconstruct(observation, CAMERA, size_prior="kitti", evidence=[Points(points + np.array(shift))])
+    sure = observation.confidence > 0.5
+    beside = float(np.median(np.linalg.norm(found.pose.wireframe_uv - observation.keypoints, axis=1)[sure]))
+    named = any(reason.startswith("points on it contradict") for reason in found.reasons)
+    assert named == (beside > 20.0), (beside, found.reasons)  # pixels; 1.5 is the noise
+    assert named == any("Measured points put the vehicle" in str(one.message) for one in warned)
+    assert not (named and found.status is Status.CONVERGED)
 
 
 @pytest.mark.parametrize("yaw", [-1.5, 0.4])
