@@ -79,12 +79,12 @@ class BoxRows:
         return weights, losses, energy
 
 
-def soft_extents(pixels: Array, softness: float) -> tuple[Array, Array]:
+def soft_extents(pixels: Array, softness: float | Array) -> tuple[Array, Array]:
     """Soft extents of projected points, for any number of poses.
 
     Args:
         pixels: (..., P, 2) pixels.
-        softness: Pixels over which one point hands over to the next.
+        softness: Pixels over which one point hands over to the next; (..., 1, 1) of each pose, or of all.
 
     Returns:
         (..., 4) extents x1, y1, x2, y2, and (..., 4, P) their derivative by the pixels of their axis.

@@ -11,7 +11,7 @@ from factors.box import OUTWARD, soft_extents
 from fgrecon.core.arrays import Array
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import box_around, yaw_rotation
+from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.options import BoxModel
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior, other_fleets
@@ -46,14 +46,14 @@ class LinearPoints:
 
         The mean over views all round of the mean shape, as a car's camera has them.
         """
-        found, length = [], np.ptp(self.mean, axis=0).max()
-        for angle in 2.0 * np.pi * np.arange(_VIEWS) / _VIEWS:
-            points = self.mean @ yaw_rotation(angle).T + length * np.array([0.0, _HEIGHT, _DISTANCE])
-            pixels = points[:, :2] / points[:, 2:]
-            hard = box_around(pixels)
-            softness = _SOFTNESS * float((hard[2:] - hard[:2]).max())
-            found.append(OUTWARD * (hard - soft_extents(pixels, softness)[0]) / softness)
-        left, up, right, down = np.mean(found, axis=0)
+        angles = 2.0 * np.pi * np.arange(_VIEWS) / _VIEWS
+        turned = self.mean @ np.stack([yaw_rotation(angle).T for angle in angles])
+        points = turned + np.ptp(self.mean, axis=0).max() * np.array([0.0, _HEIGHT, _DISTANCE])
+        pixels = points[..., :2] / points[..., 2:]
+        hard = np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=1)
+        softness = _SOFTNESS * (hard[:, 2:] - hard[:, :2]).max(axis=1)
+        soft, _ = soft_extents(pixels, softness[:, None, None])
+        left, up, right, down = np.mean(OUTWARD * (hard - soft) / softness[:, None], axis=0)
         sides = 0.5 * (left + right)
         return np.array([sides, up, sides, down])
 
