@@ -62,6 +62,7 @@ def test_the_median_depth_is_that_of_the_near_side():
     np.testing.assert_allclose(middle, [0.0, 0.0, 12.0])
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 def test_baselines_stand_beside_the_picture_alone(scanned, setup, scene):  # noqa: F811
     sensors = Sensor.LIDAR, Sensor.DEPTH
     drive = with_sensors(read_drive(scanned), sensors)
@@ -94,6 +95,7 @@ def test_3d_boxes_overlap_as_by_hand():
     assert box_overlap(replace(box, size=None), found) is None
 
 
+@pytest.mark.filterwarnings("ignore::fgrecon.errors.ContradictoryInputWarning")
 def test_the_right_image_has_baselines_of_its_own(folder, setup, scene):  # noqa: F811
     """Both images show one texture as of a wall 12 m away, where the second vehicle is."""
     texture = np.random.default_rng(3).integers(0, 255, (360, 1200, 3)).astype(np.uint8)

@@ -78,7 +78,7 @@ def test_coco_hidden_but_labelled_keypoints_count(tmp_path, keypoints):
     ("place", "value", "message"),
     [
         (2, 3, r"annotations\[1\].keypoints: got 3\.0"),
-        (3, "x", r"annotations\[1\].keypoints\[3\]: got x"),
+        (3, "x", r'annotations\[1\].keypoints\[3\]: got the text "x"'),
         (4, float("inf"), r"annotations\[1\].keypoints\[4\]: got inf"),
     ],
 )
