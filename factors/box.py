@@ -17,6 +17,7 @@ them of the other.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,7 +63,7 @@ class BoxRows:
     softness: float
     inside: Array = field(default_factory=lambda: np.zeros(4))
 
-    @property
+    @cached_property
     def soft_edges(self) -> Array:
         """(4,) where soft extents are to be, pixels."""
         return self.edges - OUTWARD * self.inside
