@@ -25,6 +25,7 @@ from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.solve.claimed_points import TakenPlace, is_scanned, without_claimed
 from fgrecon.solve.depth_scale import with_scales
 from fgrecon.solve.detected import KnownBox
+from fgrecon.solve.exclusive_keypoints import with_exclusive_keypoints
 from fgrecon.solve.fitted_class import with_fitted_classes
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.multi_start import MultiStartResult, SolvedStage, minimise_from_proposals
@@ -119,6 +120,7 @@ def solve_independently(
     coupled: dict[int, Observation] = {}
     for image in dict.fromkeys(image_of or [0]):
         own = {number: one for number, one in usable.items() if image_of is None or image_of[number] == image}
+        own = dict(zip(own, with_exclusive_keypoints([*own.values()], setup.options.keypoints), strict=True))
         own = dict(zip(own, with_scales([*own.values()], camera, setup), strict=True))
         own = dict(zip(own, with_fitted_classes([*own.values()], camera, setup, setup.ground), strict=True))
         usable |= own

@@ -41,6 +41,9 @@ class SceneSettings:
     """The same of the scene: half a millimetre, where a result is known to some centimetres at best."""
     same_place_widths: float = 0.5
     """Two vehicles nearer than so many widths are one, or one of them is wrong: no others fit there."""
+    same_point_sigmas: float = 2.0  # of the noise of two keypoints, up to which they are at one point; not tuned
+    most_certain_claim: float = 0.999
+    """Confidence from which on two claims to one point are as good as each other; not tuned."""
     # The ground; chosen on KITTI's video (docs/explanation/method.md)
     own_height_share: float = 0.35
     """Share of a given ground's deviation that is each vehicle's own. Of a ground that is given more vaguely than

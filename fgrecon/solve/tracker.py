@@ -35,6 +35,7 @@ from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
 from fgrecon.solve.contradiction import with_contradictions
 from fgrecon.solve.depth_scale import with_scales
+from fgrecon.solve.exclusive_keypoints import with_exclusive_keypoints
 from fgrecon.solve.fitted_class import with_fitted_classes
 from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, class_weights, look_at_vehicles
 from fgrecon.solve.graph.records import graph_factors
@@ -271,7 +272,8 @@ class Tracker:
             except FgreconError as error:
                 refused[name] = error
         warn_of(warnings, stacklevel=5)
-        scaled = with_scales([*found.values()], camera, self._setup)
+        exclusive = with_exclusive_keypoints([*found.values()], self._setup.options.keypoints)
+        scaled = with_scales(exclusive, camera, self._setup)
         scaled = with_fitted_classes(scaled, camera, self._setup, frame.ground)
         coupled = couple_facings(scaled, camera, self._setup.prior, self._setup.options)
         return dict(zip(found, (with_its_points(one, camera) for one in coupled), strict=True)), refused
