@@ -14,18 +14,15 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
-import signal
-import threading
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from typing import Any, ClassVar, Generic, TypeVar
 
 from fgrecon.core.errors import FgreconError, MissingPackageError
-from fgrecon.core.processes import keep, one_thread_each, run_kept
+from fgrecon.core.processes import keep, no_interrupts, obey_parent, one_thread_each, run_kept
 from fgrecon.io.arrow import without_pandas
 
 _TRIES = 2
@@ -98,7 +95,7 @@ class _Process(Worker[Piece, Result]):
             except BrokenProcessPool:  # it died while it had nothing to do
                 self._pool.shutdown(wait=False)
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
-        with one_thread_each(), _no_interrupts():
+        with one_thread_each(), no_interrupts():
             self._begun = self._pool.submit(_begin, self._function)
         return self._pool.submit(run_kept, piece)
 
@@ -190,34 +187,12 @@ def drive(
             worker.end(whole=whole)
 
 
-@contextmanager
-def _no_interrupts() -> Iterator[None]:
-    """Processes started inside do not notice Ctrl-C, which a terminal sends to them too, before they ignore it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def _begin(function: Callable[[Any], Any]) -> int:
-    """Make a worker ready; its process number.
-
-    The user's Ctrl-C is for the parent, which ends its workers; a parent that is killed can end none, so they look.
-    """
+    """Make a worker ready; its process number."""
     keep(function)
     without_pandas()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
-    threading.Thread(target=_follow_parent, daemon=True).start()
+    obey_parent()
     return os.getpid()
-
-
-def _follow_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
 
 
 _REPORT_SECONDS = 60.0

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.options import BoxModel, KeypointOptions, Options, ShapeOptions
-from fgrecon.core.processes import one_thread_each
+from fgrecon.core.processes import processes
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category
@@ -91,7 +90,7 @@ def score_known_shapes(
     groups = [[c for c in cars.cars if c.model == model] for model in sorted({car.model for car in cars.cars})]
     found: dict[str, _Result] = {}
     advance(0, len(cars.cars))
-    with one_thread_each(), ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+    with processes(workers) as pool:
         waiting = {
             pool.submit(_score_model, models, cars.camera, group, learnt_from_others(models, cars, group)): group
             for group in groups

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import islice
-from multiprocessing import get_context
 from time import perf_counter
 
 from fgrecon.calibration.labelled_frames import SceneKnowledge
-from fgrecon.core.processes import one_thread_each
+from fgrecon.core.processes import processes
 from fgrecon.core.robust import StrategyName
 from fgrecon.io.track_file import Track
 from fgrecon_research.evaluation import report
@@ -51,7 +49,7 @@ def measure(
 ) -> Measured:
     """Measure everything."""
     step, scene, seed = "real keypoints, run times", settings.scene, settings.seed
-    with one_thread_each(), ProcessPoolExecutor(1, get_context("spawn")) as alone:
+    with processes(1) as alone:
         by_hand = [alone.submit(_real_table, *_REAL_TRACKS, tracks, scene)]
         by_hand += [alone.submit(_real_table, *_REAL_IMAGES, images, scene)]
         timed = alone.submit(_times, instances, scene, seed)
