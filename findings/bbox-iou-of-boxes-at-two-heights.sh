@@ -4,7 +4,7 @@
 # Guess: the volume in both by the volume in either, as long as the boxes turn about z alone, which its docstring asks for.
 # Seen: along z a box is taken to reach from its centre down by its whole height, half a height too low. Boxes on one floor, or of one height,
 # agree by chance; otherwise not: a sign of 1 m that fills the upper half of a box of 2 m has 0.2 instead of 0.5, and a box that stands on
-# the roof of another 0.33 instead of 0. A corner (is_center=False) of a turned box becomes a centre as if it were not turned.
+# the roof of another 0.33 instead of 0.
 set -euo pipefail
 folder=$(mktemp -d); trap 'rm -rf "$folder"' EXIT; cd "$folder"
 python3 -m venv env && env/bin/pip install --quiet bbox==0.9.4 numpy==1.26.4
