@@ -205,8 +205,7 @@ class SolvedFile:
     @property
     def contradictions(self) -> list[str]:
         """What must be wrong with the keypoints or the camera."""
-        of_image = is_image(self.read.path)
-        return input_warnings(self.read.tasks, detected=of_image) or ([] if of_image else fit_warnings(self.outcomes))
+        return input_warnings(self.read.tasks, detected=is_image(self.read.path)) or fit_warnings(self.outcomes)
 
     @property
     def focal_lengths(self) -> list[str]:

@@ -77,6 +77,7 @@ def solved_row(
         "distortion_model": None if camera.distortion is None else camera.distortion_model,
         "image_size": camera.image_size,
         "box_excess": finite(result.diagnostics.box_excess),
+        "own_shares": dict(result.diagnostics.own_shares) or None,
         "left_out": list(result.diagnostics.left_out),
         "milliseconds": sum(result.diagnostics.milliseconds.values()),
     }
@@ -196,6 +197,7 @@ def reconstruction_of(row: Mapping[str, Any], category: Category) -> Reconstruct
             visibility=np.array(row["visibility"], dtype=np.float64),
             milliseconds={"total": row["milliseconds"]},
             box_excess=_number(row.get("box_excess")),
+            own_shares={kind: share for kind, share in (row.get("own_shares") or {}).items() if share is not None},
         ),
     )
 

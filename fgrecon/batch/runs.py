@@ -73,9 +73,10 @@ class Tally:
         for name, warning in zip(*(table.column(name).to_pylist() for name in ("id", "input_warning")), strict=True):
             if warning is not None:
                 self.input_warnings.add(name or "", InputWarning(warning))
-        columns = (table.column(name).to_pylist() for name in ("id", "row_id", "left_out"))
-        for name, row, left_out in zip(*columns, strict=True):
+        columns = (table.column(name).to_pylist() for name in ("id", "row_id", "left_out", "own_shares"))
+        for name, row, left_out, own_shares in zip(*columns, strict=True):
             self.left_out += [f"{name or row}: {left_out[0]}"] if left_out else []
+            self.input_warnings.add_scanned(name or row, own_shares or {})
         self.box_excesses.extend(pc.drop_null(table.column("box_excess")).to_pylist())
 
     def add_stored(self, outcomes: Iterable[RowOutcome]) -> None:

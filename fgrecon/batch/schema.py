@@ -67,6 +67,7 @@ def result_schema() -> Any:
         ("box", _NUMBERS),
         ("score", _NUMBER),
         ("box_excess", _NUMBER),
+        ("own_shares", pa.struct([(name, _NUMBER) for name in ("points", "depth")])),
         ("input_warning", _TEXT),
         ("left_out", pa.list_(_TEXT)),
         ("focal_sigma", _NUMBER),

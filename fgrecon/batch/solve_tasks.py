@@ -209,11 +209,16 @@ def with_closest(outcomes: Sequence[Outcome], models: Sequence[VehicleMesh]) -> 
 def fit_warnings(outcomes: Iterable[Outcome]) -> list[str]:
     """What to warn of once vehicles are solved: of most of them hardly a keypoint fits, or sides are exchanged."""
     warnings = InputWarnings()
+    count_results(warnings, outcomes)
+    return warnings.lines()
+
+
+def count_results(warnings: InputWarnings, outcomes: Iterable[Outcome], image: str = "") -> None:
+    """Count the results of vehicles, whose names begin with their image's."""
     for outcome in outcomes:
         observation = outcome.task.usable_observation
         if outcome.result is not None and observation is not None:
-            warnings.add_result(outcome.name, observation, outcome.result)
-    return warnings.lines()
+            warnings.add_result(f"{image}{outcome.name}", observation, outcome.result)
 
 
 def check_any(path: Path, outcomes: Sequence[Outcome]) -> bool:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fgrecon.batch.file_service import FileRequest, ReadFile, SolvedFile, is_image, read_file, solve_file
-from fgrecon.batch.solve_tasks import check_any, solve_same_camera, with_closest
+from fgrecon.batch.solve_tasks import check_any, count_results, solve_same_camera, with_closest
 from fgrecon.batch.vehicle_tasks import VehicleTask
 from fgrecon.cli import reconstruct_report as report
 from fgrecon.cli.outputs import check_not_over, files_in
@@ -21,6 +21,7 @@ from fgrecon.cli.reconstruct_report import NAMED
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.input_warnings import InputWarnings
 from fgrecon.core.text import counted, distinct
 from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
 from fgrecon.io.files import write_text
@@ -146,6 +147,8 @@ def reconstruct_each(files: Sequence[Path], request: ReconstructRequest, screen:
         work.deliver(solved)
     done = len(targets) - len(work.problems)
     screen.print(f"{counted(work.vehicles, 'vehicle')} in {done} of {counted(len(targets), 'image')}.")
+    for line in work.warnings.lines():
+        screen.warn(line)
     for line in work.problems:
         screen.fail(line)
     return not work.problems
@@ -208,6 +211,7 @@ class _Work:
     screen: Screen  # where it is said
     problems: list[str] = field(default_factory=list)  # what could not be used, and why
     vehicles: int = 0  # how many have results
+    warnings: InputWarnings = field(default_factory=InputWarnings)  # of these
 
     def _read(self, path: Path) -> ReadFile:
         read = read_file(path, self.what)
@@ -266,6 +270,7 @@ class _Work:
             problem = None if check_any(path, outcomes) else outcomes[0].error or failed
         except InvalidInputError as error:
             problem = error
+        count_results(self.warnings, outcomes, f"{path.name}:")
         if problem is None:
             self.vehicles += sum(outcome.result is not None for outcome in outcomes)
         else:

@@ -49,7 +49,11 @@ def show(screen: Screen, done: Sequence[RefinedImage]) -> None:
         if rows and all(box.message.endswith(contradiction) for _, _, box in rows):
             screen.warn(contradiction)
     cameras = {one.image.name: camera_warning_of(one.camera) for one in done if one.camera is not None}
-    for warning in InputWarnings.of(cameras).lines():
+    warnings = InputWarnings.of(cameras)
+    for one, line, box in rows:
+        if box.result is not None:
+            warnings.add_scanned(f"{one.image.name}:{line.number}", box.result.diagnostics.own_shares)
+    for warning in warnings.lines():
         screen.warn(warning)
     changed = [box for _, _, box in rows if box.changed]
     flipped = sum(box.flipped for box in changed)

@@ -20,7 +20,7 @@ _FARTHEST, _NEAREST = 300.0, 0.5  # metres: the median depth of no image with ve
 _LARGEST_RELATIVE = 1.0
 _LEAST_SIGMA = 1e-9  # of shares and shared errors that are not none: squares of much less are 0 in doubles
 _LEAST_MEASURED = 20  # pixels of which the median tells the unit
-_MIDDLE = 0.25  # of a 2D box's sides, from its middle: pixels that are surely the vehicle's, or of what hides it
+_MIDDLE = 0.25  # of a 2D box's sides, from its middle
 _ALIKE, _LEAST_ALIKE = 2.0, 0.05  # times as far or near, within which a pixel may be the vehicle's; share that is so
 _SIDE_M, _TOO_FAR = 1.5, 3.3  # of a vehicle's outline, the smaller; times as far as by it, as no vehicle is
 _ROUNDING = 1e-9  # share of the largest number of a covariance that is rounding
@@ -169,9 +169,9 @@ class DepthMap:
         known = self.known
         if known is None or (known.scale, known.shift) != (1.0, 0.0) or np.any(known.covariance):
             return None
-        middle, reach = (box[:2] + box[2:]) / 2.0, _MIDDLE * (box[2:] - box[:2])
+        middle = middle_of(box)
         first, size = np.array(self.corner[::-1]), np.array(self.depth.shape[::-1])
-        low, high = (np.clip(at - first, 0, size).astype(int) for at in (middle - reach, middle + reach + 1.0))
+        low, high = (np.clip(at - first, 0, size).astype(int) for at in (middle[:2], middle[2:] + 1.0))
         found = self.metres(self.depth[low[1] : high[1], low[0] : high[0]], known)
         ratio = found[np.isfinite(found)] / metres
         if len(ratio) < _LEAST_MEASURED or (np.abs(np.log(ratio)) < np.log(_ALIKE)).mean() >= _LEAST_ALIKE:
@@ -201,6 +201,12 @@ class DepthMap:
         sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[row - first[0], column - first[1]]
         own_sigma = scale * np.asarray(sigma) * (metres**2 if self.inverse else 1.0)
         return np.asarray(np.hypot(own_sigma, self.relative_sigma * metres))
+
+
+def middle_of(box: NDArray[np.float64]) -> Array:
+    """(4,) the middle of a 2D box (4,): pixels that are surely its vehicle's, or of what hides it."""
+    middle, reach = (box[:2] + box[2:]) / 2.0, _MIDDLE * (box[2:] - box[:2])
+    return np.concatenate([middle - reach, middle + reach])
 
 
 def pixel_rays(row: NDArray[np.intp], column: NDArray[np.intp], camera: Camera) -> Array:

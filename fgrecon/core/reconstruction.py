@@ -166,6 +166,8 @@ class Diagnostics(LazyFields):
             come from a network that knows the vehicle's direction, and nobody tried.
         points: (N, 3) points of other sensors that the graph had, camera frame, metres; none where nobody gave any.
         point_weights: (N,) final weight of each in [0, 1]: how surely it is the vehicle's.
+        own_shares: By what measured points (`points`, `depth`), how many of those in the middle of the 2D box are the
+            vehicle's, as a share: few where something hides it, or they are not where the image has it.
         evidence: By kind of what was given beside the picture, by how many times it makes the position's standard
             deviation smaller; of `range_rate` the velocity's.
         depth_scales: (Q, 2) scale and shift of each depth map whose pixels share an error, by all vehicles that were
@@ -191,6 +193,7 @@ class Diagnostics(LazyFields):
     mirrored_gain: float = float("nan")
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     point_weights: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    own_shares: Mapping[str, float] = field(default_factory=dict)
     evidence: Mapping[str, float] = field(default_factory=dict)
     depth_scales: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     depth_covariances: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2, 2)))

@@ -109,6 +109,7 @@ FIELDS: Mapping[str, ResultField] = {
     "mirrored_gain": ResultField("diagnostics", float, later=True),
     "points": ResultField("diagnostics", shape=("P", 3), later=True, large=True, spare=True),
     "point_weights": ResultField("diagnostics", shape=("P",), later=True, large=True, spare=True),
+    "own_shares": ResultField("diagnostics", numbers, later=True, spare=True),
     "evidence": ResultField("diagnostics", numbers, later=True, spare=True),
     "depth_scales": ResultField("diagnostics", shape=("Q", 2), later=True, spare=True),
     "depth_covariances": ResultField("diagnostics", shape=("Q", 2, 2), later=True, spare=True),

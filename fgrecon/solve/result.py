@@ -13,7 +13,7 @@ import numpy as np
 from fgrecon.core.arrays import Array
 from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.checks import own
-from fgrecon.core.depth_map import DepthMap
+from fgrecon.core.depth_map import DepthMap, middle_of
 from fgrecon.core.detection import calibrated_facing, pose_facing_probability
 from fgrecon.core.geometry import transform
 from fgrecon.core.history import Deferred
@@ -45,10 +45,10 @@ from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 from fgrecon.solve.graph.optimise import Optimum
 from fgrecon.solve.graph.records import factors_of, graph_factors, iterations
 from fgrecon.solve.pose_probability import facing_by_energies, with_probabilities
+from fgrecon.solve.proposals.point_term import DEPTH_NAME, POINTS, POINTS_NAME
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.proposals.scaled_depth import ScaledDepth
-from fgrecon.solve.proposals.search_settings import SETTINGS as SEARCH
 from fgrecon.solve.solve_settings import STATUS
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
 from fgrecon.solve.weakness import too_large_box, weakened, weaknesses
@@ -143,7 +143,7 @@ def results(
         points, point_weights = graph.points_of(i)
         gained = {} if uncertainty is None else _gained(graph, i, uncertainty, without)
         if uncertainty is not None and len(points):
-            uncertainty = uncertainty.with_unseen_underside(SEARCH.points.underside_sigma_m)
+            uncertainty = uncertainty.with_unseen_underside(POINTS.underside_sigma_m)
         end = _End(part, optimum, i, adjusted.alternatives[i], None if facing is None else facing[i], uncertainty)
         diagnostics = {
             "energies": {} if failed else optimum.energies if single else graph.energies_of(i, values, weights[i]),
@@ -152,6 +152,7 @@ def results(
             "milliseconds": milliseconds,
             "points": points,
             "point_weights": point_weights,
+            "own_shares": _own_shares(graph, i, values),
             "evidence": gained,
             **_shared_errors(graph, known, i),
         }
@@ -178,6 +179,21 @@ def _gained(
         before = None if part.pose_key is None else covariance_of(without.get(name), part.pose_key)
         if before is not None:
             found[name] = float(np.sqrt(np.trace(before[3:, 3:]) / np.trace(uncertainty.pose[3:, 3:])))
+    return found
+
+
+def _own_shares(graph: Graph, index: int, values: gtsam.Values) -> dict[str, float]:
+    """By what measured points, the share of those in the middle of an observation's 2D box that are the vehicle's."""
+    part, found = graph.observations[index], dict[str, float]()
+    box, intrinsics = part.problem.observation.place, part.camera(values).matrix
+    for name in sorted(graph.names_of(index) & {POINTS_NAME, DEPTH_NAME}):
+        points, weights = graph.points_of(index, name)
+        assert box is not None  # else there would be no points
+        pixels = (points @ intrinsics.T)[:, :2] / np.maximum(points[:, 2:], MIN_DEPTH)
+        low, high = np.split(middle_of(box), 2)
+        own = weights[((pixels > low) & (pixels < high)).all(axis=1)] >= POINTS.used_weight
+        if len(own) >= POINTS.least_in_middle:
+            found[name] = float(own.mean())
     return found
 
 

@@ -112,7 +112,7 @@ def reconstruct_track(
     frames = with_contradictions(frames, adjusted.ended, alone)
     frames = [with_mirrored_gain(one, part.problem) for part, one in zip(parts, frames, strict=True)]
     for part, one in zip(parts, frames, strict=True):
-        warnings.add_result(f"image {part.image}", part.problem.observation, one)
+        warnings.add_result(f"image {part.image}", part.problem.observation, one, "the vehicle")
     warn_of(warnings, stacklevel=3)
     status, message = _status(frames, refused)
     optimum = adjusted.optimum

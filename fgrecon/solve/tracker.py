@@ -123,6 +123,7 @@ class Tracker:
         self._tracks: dict[int, VehicleTrack] = {}
         self._forgotten: list[float] = []  # how far the boxes of vehicles were off that were forgotten
         self._sensors = SensorFilter()
+        self._scans: InputWarnings | None = InputWarnings()  # until it is warned of them
         self._time = self._clock = -np.inf
         self._latest: list[float] = []  # times of the last two frames with vehicles
         self._cameras: list[tuple[Camera, gtsam.Pose3 | None]] = []  # of the last time
@@ -196,6 +197,12 @@ class Tracker:
                     warn(line, stacklevel=3)
                 self._latest = [*self._latest[-1:], time]
             self._time, self._clock, self._cameras, self._drift = time, clock, cameras, frame.drift
+            if self._scans is not None:
+                for name, one in found.items():
+                    self._scans.add_scanned(str(name), one.reconstruction.diagnostics.own_shares)
+                if lines := self._scans.scan:
+                    self._scans = None
+                    warn(lines[0], stacklevel=3)
             return found
 
     def _update(

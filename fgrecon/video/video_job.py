@@ -483,16 +483,16 @@ def _frame_warnings(run: VideoRun, *, alone: bool) -> list[str]:
 
 def _keypoint_warnings(job: VideoJob, run: VideoRun) -> list[str]:
     """What to warn of keypoints that were given, and of the camera."""
-    warnings = InputWarnings()
-    if job.given is None or not job.given.complete:  # boxes alone, in which the network has detected them
+    warnings, given = InputWarnings(), job.given is not None and job.given.complete
+    if not given:  # boxes at most, in which the network has detected them
         warnings.add(job.request.source, camera_warning_of(job.camera))
-        return warnings.lines()
-    for frame in run.frames:
+    for frame in run.frames if given or job.sense is not None else ():
         for identity, observation in frame.observations.items():
             name = f"{identity} in {frame.name}"
-            warnings.add(name, input_warning_of(observation, job.camera))
+            if given:
+                warnings.add(name, input_warning_of(observation, job.camera))
             if (estimate := frame.estimates.get(identity)) is not None:
-                warnings.add_result(name, observation, estimate.reconstruction)
+                warnings.add_result(name, observation, estimate.reconstruction, str(identity))
     return warnings.lines()
 
 

@@ -146,3 +146,22 @@ def test_a_lidar_of_unsure_place_is_placed_by_the_cars(sample, tmp_path):
     assert errors[0] == errors[1] == errors[2]
     assert np.abs(np.array(errors[0])).max() < 0.02, "it is where it is said to be"
     assert run(*given[:-1], "0.5", "--lidar", sample / "street.npz").exception.field == "lidar_sigma"
+
+
+@pytest.mark.parametrize("up", [0.0, 1.0])
+def test_a_scan_in_a_wrong_place_is_named(sample, tmp_path, up):
+    """By every command that takes one, once, and also where the results go to standard output."""
+    scan, image, calib = tmp_path / "scan.npz", sample / "street.png", sample / "calib.txt"
+    np.savez(scan, points=np.load(sample / "street.npz")["points"] - [0.0, up, 0.0])
+    of_image = image, "--calib", calib, "--boxes", sample / "detections.txt"
+    for command in (
+        ("reconstruct", sample / "cars.json", "--image", image, "--json", "-"),
+        ("reconstruct", *of_image, "--json", "-"),
+        ("reconstruct", *of_image, "--out", tmp_path / "each"),
+        ("batch", *of_image, "--out", tmp_path / "batch"),
+        ("refine", sample / "detections.txt", image, "--calib", calib, "--out", tmp_path / "r.txt"),
+    ):
+        done = run(*command, "--lidar", scan)
+        assert done.exit_code == 0, done.output
+        said = " ".join(f"{done.stdout} {done.stderr}".split())
+        assert said.count("The scan is not where the image shows the vehicles") == (up > 0.0), command

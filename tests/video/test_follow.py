@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ import pytest
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.evidence import Points
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Status
 from fgrecon.io.export import read_video_frames
 from fgrecon.io.poses import CameraPoses
 from fgrecon.simulation import KITTI_CAMERA
@@ -19,6 +22,7 @@ from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.frame_store import FrameStore
 from fgrecon.video.records import FrameRecord, Sighting
 from fgrecon.video.rows import frame_lines, rows_of, tracking_text
+from fgrecon.video.video_job import _keypoint_warnings
 from tests.video.streets import simulated
 
 
@@ -254,3 +258,21 @@ def test_evidence_that_cannot_be_used_names_its_frame():
     follow = Follower(Tracker(prior="car14"), GatedAssociation(), KITTI_CAMERA, sense=lambda _: (beside,))
     with pytest.raises(InvalidInputError, match=r"^7\.png: evidence\[0\]"):
         follow(record(7))
+
+
+@pytest.mark.parametrize("share", [0.2, 0.9])
+def test_a_scan_in_a_wrong_place_is_named_by_all_frames(share):
+    """Of two vehicles, whose estimates know how many of the points before them are theirs."""
+    known = SimpleNamespace(
+        own_shares={"points": share}, mirrored_gain=np.nan, weights=np.ones(14), energies={"ground": 0.0}
+    )
+    known.left_out = ()
+    result = SimpleNamespace(diagnostics=known, reasons=(), status=Status.FAILED)
+    seen = dict.fromkeys((3, 4), Observation.of(np.zeros((14, 2)), np.ones(14)))
+    estimates = dict.fromkeys(seen, SimpleNamespace(reconstruction=result))
+    run = SimpleNamespace(frames=[SimpleNamespace(name="7", observations=seen, estimates=estimates)] * 3)
+    job = SimpleNamespace(given=None, sense=len, camera=KITTI_CAMERA, request=SimpleNamespace(source="drive"))
+    lines = _keypoint_warnings(job, run)
+    assert [line for line in lines if "scan is not where" in line] == lines[:1] * (share < 0.5)
+    job.sense = None  # nobody gave any
+    assert not _keypoint_warnings(job, run)

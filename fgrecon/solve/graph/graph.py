@@ -197,10 +197,14 @@ class Graph:
             for part in self.observations:
                 check_in_front(part.kernel, values)
 
-    def points_of(self, index: int) -> tuple[Array, Array]:
-        """The measured points (M, 3) of an observation, and their weights (M,) where they were looked at last."""
+    def points_of(self, index: int, name: str | None = None) -> tuple[Array, Array]:
+        """The measured points (M, 3) of an observation, and their weights (M,) where they were looked at last.
+
+        `name` is what measured them; None for all.
+        """
         every = zip(self.sensed, self._sensed_by, strict=True)
         own = [one for one, by in every if by == index and isinstance(one, SurfacePointsFactor)]
+        own = [one for one in own if name in (None, one.name)]
         points = np.concatenate([np.zeros((0, 3)), *(one.points for one in own)])
         return points, np.concatenate([np.zeros(0), *(one.weights for one in own)])
 

@@ -143,6 +143,8 @@ class PointSettings:
     """Iteration from which only the best go on."""
     kept_hypotheses: int = 5
     """How many of them."""
+    least_in_middle: int = 5
+    """In the middle of a 2D box, from which on it is said how many of them are the vehicle's; not tuned."""
     used_weight: float = 0.5
     """From which on a point is a vehicle's."""
     claimed_share: float = 0.5
