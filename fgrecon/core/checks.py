@@ -49,10 +49,14 @@ def _numbers(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: s
             raise TypeError(f"{given.dtype}")
         array = hidden_as_nan(value, given.astype(np.float64, copy=False))
     except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # the last of sparse tensors
-        raise InvalidInputError(
-            field, value, fix or f"Give numbers in an array of shape {shape_words(shape)}."
-        ) from error
+        fix = fix or f"Give numbers in an array of shape {shape_words(shape)}."
+        raise InvalidInputError(field, text_named(value), fix) from error
     return array
+
+
+def text_named(value: Any) -> Any:
+    """A value for an error: a text says that it is one, since it may look like what is wanted, such as "1.65"."""
+    return f'the text "{value}"' if isinstance(value, str) else value
 
 
 def _detached(value: Any) -> Any:
@@ -220,7 +224,7 @@ def as_flag(field: str, value: Any) -> bool:
         InvalidInputError: It is neither.
     """
     if not isinstance(value, bool | np.bool_):
-        raise InvalidInputError(field, value, "Give True or False.")
+        raise InvalidInputError(field, text_named(value), "Give True or False.")
     return bool(value)
 
 

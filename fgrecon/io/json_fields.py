@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.checks import text_named
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import whole_text
 
@@ -216,5 +217,4 @@ def _number(value: Any, field: str) -> float:
             return float(value)
     except OverflowError:  # an integer beyond the range of floats
         pass
-    got = f'the text "{value}"' if isinstance(value, str) else value
-    raise InvalidInputError(field, got, "Give a finite number.")
+    raise InvalidInputError(field, text_named(value), "Give a finite number.")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fgrecon.core.checks import as_finite, as_rigid
+from fgrecon.core.checks import as_finite, as_flag, as_rigid
 from fgrecon.core.errors import InvalidInputError
 from tests.cars import yaw_pose
 
@@ -54,3 +54,15 @@ class _WithGradient:
 def test_what_makes_no_array_is_named():
     with pytest.raises(InvalidInputError, match=r"^keypoints"):
         as_finite("keypoints", _WithGradient(), (14, 2))
+
+
+@pytest.mark.parametrize(
+    ("check", "text"),
+    [
+        (lambda text: as_finite("ground", text, (), "Give metres."), "1.65"),
+        (lambda text: as_flag("together", text), "True"),
+    ],
+)
+def test_a_text_that_looks_like_what_is_wanted_is_named(check, text):
+    with pytest.raises(InvalidInputError, match=f'got the text "{text}"[.] Give'):
+        check(text)
