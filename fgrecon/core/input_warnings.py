@@ -163,15 +163,17 @@ REASONS = {
 }
 """Of warnings of a camera: the clauses of results that are weak by it."""
 
-_BEFORE = frozenset(InputWarning) - {
-    InputWarning.MIRRORED,
-    InputWarning.FAR,
-    InputWarning.AIR,
-    InputWarning.FIT,
-    InputWarning.FACTORS,
-    InputWarning.POINTS,
-    InputWarning.DEPTH,
-}
+_BEFORE = frozenset(
+    {
+        InputWarning.UNITS,
+        InputWarning.BESIDE,
+        InputWarning.BEYOND,
+        InputWarning.PRINCIPAL_POINT,
+        InputWarning.OTHER_SIZE,
+        InputWarning.SQUARE,
+        InputWarning.FIELD_OF_VIEW,
+    }
+)
 """What is warned of before a vehicle is solved, whose fit then says nothing more."""
 
 _SUMMED_UP: ContextVar[bool] = ContextVar("summed_up", default=False)
@@ -223,11 +225,14 @@ class InputWarnings:
         return [_SCAN] if elsewhere else []
 
     def lines(self) -> list[str]:
-        """What to warn of; of results where nothing else is wrong, and if it is that of most vehicles."""
+        """What to warn of; of results where nothing else is wrong, and if it is that of most vehicles.
+
+        Of a range if it is that of one: each is of a vehicle of its own.
+        """
         shown, scan = [one for one in InputWarning if self.counts[one] and one in _BEFORE], list[str]()
         if not shown:
             scan = self.scan
-            most = {one for one, count in self.counts.items() if 2 * count > self.judged}
+            most = {n for n, count in self.counts.items() if 2 * count > self.judged or n is InputWarning.RANGE}
             shown = [one for one in InputWarning if one in most and not (scan and one is InputWarning.POINTS)]
         return scan + [_SENTENCES[one.value].format(self._named(one)) for one in shown]
 

@@ -194,6 +194,17 @@ def test_of_a_hundred_thousand_three_names_are_kept():
     assert "of 0, 1, 2 and 99997 more are beside" in line
 
 
+def test_one_wrong_range_hides_nothing():
+    """It is named though the others are right, and so is what must be wrong with most results."""
+    warnings = InputWarnings(judged=3)
+    for number, warning in enumerate((InputWarning.MIRRORED, InputWarning.MIRRORED, InputWarning.RANGE)):
+        warnings.add(str(number), warning)
+    assert ["of 0, 1 fit better" in line for line in warnings.lines()] == [True, False]
+    assert "The range of 2 contradicts" in warnings.lines()[1]
+    warnings.add("3", InputWarning.FACTORS)
+    assert len(warnings.lines()) == 2
+
+
 def test_boxes_of_another_kind(tmp_path, cars):
     printed = warnings(tmp_path, cars, lambda points: points, box=lambda box: box - [300, 0, 300, 0], size=None)
     assert "are beside the 2D box" in printed
