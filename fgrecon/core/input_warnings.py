@@ -59,6 +59,9 @@ class InputWarningSettings:
     """Share of a scan's points in the middle of a 2D box that are its vehicle's: below, something hides the vehicle, or
     the scan is elsewhere, which it is where most vehicles have less. Chosen on drive 0003 of KITTI's tracking set:
     right scans, whole and thinned, leave each vehicle 0.6 or more, those 1 m sideways 0.2 in the median."""
+    own_pixel_share: float = 0.2
+    """The same of a depth map's pixels, of which the vehicle's may be some percent off. Chosen there too: right maps
+    leave 0.7 or more, those of twice and three times the depth none."""
     least_scanned: int = 2  # vehicles from which on a scan is judged: one alone may be hidden
     above_share: float = 0.35  # of results: height over the camera by the distance
 
@@ -106,10 +109,14 @@ class InputWarning(StrEnum):
     """By a depth map it is where it is not."""
 
 
-_SCAN = (
-    "The scan is not where the image shows the vehicles: in the middle of most 2D boxes less than half of its points "
-    "are the vehicle's. Is the sensor's pose right (--lidar-pose, camera_T_points), and the scan of this image's time?"
-)
+_ELSEWHERE = {
+    "points": "The scan is not where the image shows the vehicles: in the middle of most 2D boxes less than half of "
+    "its points are the vehicle's. Is the sensor's pose right (--lidar-pose, camera_T_points), and the scan of this "
+    "image's time?",
+    "depth": "The depth map is not where the image shows the vehicles: in the middle of most 2D boxes hardly a pixel "
+    "is the vehicle's. Are its numbers metres along the camera's axis, and of this image? Else say what they are: "
+    "scale, scale_and_shift, inverse.",
+}
 
 _SENTENCES = {
     "units": "All keypoints of {} are between 0 and 1, as parts of an image do. Give pixels.",
@@ -186,8 +193,9 @@ class InputWarnings:
     judged: int = 0  # vehicles with a result
     counts: Counter[InputWarning] = field(default_factory=Counter)  # vehicles by their warning
     names: dict[InputWarning, list[str]] = field(default_factory=dict)  # the first of these
-    scanned: set[str] = field(default_factory=set)  # the first vehicles with points in the middles of their 2D boxes
-    of_scans: Counter[bool] = field(default_factory=Counter)  # results of such, by whether these points are theirs
+    # the first vehicles with measured points in the middles of their 2D boxes, by what measured these
+    scanned: dict[str, set[str]] = field(default_factory=dict)
+    of_scans: Counter[tuple[str, bool]] = field(default_factory=Counter)  # results of such, by whether they are theirs
 
     @classmethod
     def of(cls, found: Mapping[str, InputWarning | None]) -> InputWarnings:
@@ -212,17 +220,18 @@ class InputWarnings:
         self.add_scanned(vehicle or name, result.diagnostics.own_shares)
 
     def add_scanned(self, vehicle: str, own_shares: Mapping[str, float | None]) -> None:
-        """Count a result of a vehicle, if there are points of a scan in the middle of its 2D box."""
-        if (share := own_shares.get("points")) is not None:
-            self.of_scans[share >= SETTINGS.own_share] += 1
-            if len(self.scanned) < SETTINGS.least_scanned:
-                self.scanned.add(vehicle)
+        """Count a result of a vehicle, if there are measured points in the middle of its 2D box."""
+        for kind, least in (("points", SETTINGS.own_share), ("depth", SETTINGS.own_pixel_share)):
+            if (share := own_shares.get(kind)) is not None:
+                self.of_scans[kind, share >= least] += 1
+                if len(some := self.scanned.setdefault(kind, set())) < SETTINGS.least_scanned:
+                    some.add(vehicle)
 
     @property
     def scan(self) -> list[str]:
-        """What to warn of a scan that is not where the vehicles are."""
-        elsewhere = len(self.scanned) == SETTINGS.least_scanned and self.of_scans[False] > self.of_scans[True]
-        return [_SCAN] if elsewhere else []
+        """What to warn of scans and depth maps that are not where the vehicles are."""
+        judged = [kind for kind, some in self.scanned.items() if len(some) == SETTINGS.least_scanned]
+        return [_ELSEWHERE[kind] for kind in judged if self.of_scans[kind, False] > self.of_scans[kind, True]]
 
     def lines(self) -> list[str]:
         """What to warn of; of results where nothing else is wrong, and if it is that of most vehicles.
@@ -231,8 +240,8 @@ class InputWarnings:
         """
         shown, scan = [one for one in InputWarning if self.counts[one] and one in _BEFORE], list[str]()
         if not shown:
-            scan = self.scan
             most = {n for n, count in self.counts.items() if 2 * count > self.judged or n is InputWarning.RANGE}
+            scan = [] if InputWarning.DEPTH in most else self.scan
             shown = [one for one in InputWarning if one in most and not (scan and one is InputWarning.POINTS)]
         return scan + [_SENTENCES[one.value].format(self._named(one)) for one in shown]
 

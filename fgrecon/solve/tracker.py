@@ -202,7 +202,7 @@ class Tracker:
                     self._scans.add_scanned(str(name), one.reconstruction.diagnostics.own_shares)
                 if lines := self._scans.scan:
                     self._scans = None
-                    warn(lines[0], stacklevel=3)
+                    warn(" ".join(lines), stacklevel=3)
             return found
 
     def _update(

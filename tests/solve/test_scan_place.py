@@ -87,6 +87,18 @@ def test_a_tracker_says_it_once(street: tuple[list[Observation], np.ndarray], sh
             assert said(warned) == (times if i else 0)
 
 
+@pytest.mark.parametrize(("times", "named"), [(1.0, False), (2.0, True), (3.0, True)])
+def test_depth_maps_in_another_unit_are_named(
+    street: tuple[list[Observation], np.ndarray], times: float, named: bool
+) -> None:
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        reconstruct_scene(street[0], CAMERA, **HOW, evidence=[DepthMap(times * street_of()[1], relative_sigma=0.01)])
+    lines = [str(one.message) for one in warned if "depth map" in str(one.message)]
+    assert len(lines) == named, lines
+    assert all("metres along the camera's axis" in line for line in lines)
+
+
 def test_pixels_of_a_depth_map_are_counted_apart(street: tuple[list[Observation], np.ndarray]) -> None:
     seen, points = street
     _, depth = street_of()
