@@ -10,6 +10,7 @@ import pytest
 from fgrecon.calibration.labelled_boxes import SYSTEM
 from fgrecon.calibration.labelled_frames import score_frames
 from fgrecon.core.depth_map import DepthMap
+from fgrecon.core.errors import ContradictoryInputWarning
 from fgrecon.core.evidence import Points
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.half_turn import flipped_observation
@@ -221,5 +222,6 @@ def test_right_images_are_given_to_what_follows(folder, setup, scene, monkeypatc
     monkeypatch.setattr(video_tracks, "right_image", lambda frame: frame.number)
     monkeypatch.setattr(video_tracks, "stereo_depth", lambda left, camera, pair: given.append(pair) or flat)
     frames = score_frames(drives, {"drive": setup})
-    follow_boxes(frames, drives, {"drive": setup}, sensors=[Sensor.RIGHT])
+    with pytest.warns(ContradictoryInputWarning, match="The depth map is not where the image shows the vehicles"):
+        follow_boxes(frames, drives, {"drive": setup}, sensors=[Sensor.RIGHT])
     assert given == [frame.number for frame in frames]
