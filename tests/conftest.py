@@ -10,6 +10,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy loads: the tests run on all cores already
 
 import pytest
+from hypothesis import settings
 
 from fgrecon.calibration.labelled_frames import SceneKnowledge
 from fgrecon.core.camera import Ground
@@ -18,6 +19,9 @@ from fgrecon.io.catalogue import load_prior
 from tests.made_up_track import make_track
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+
+settings.register_profile("untimed", deadline=None, derandomize=True)  # the same examples, however busy the machine is
+settings.load_profile("untimed")
 
 
 def data_root() -> Path | None:
